@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 import math
 
 from evpinn_ros.core.estimation.posterior import initial_state, learn, passed
-from evpinn_ros.core.estimation.states import State
+from evpinn_ros.core.estimation.states import PHYSICS, State
 from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
@@ -28,7 +28,7 @@ from evpinn_ros.core.vehicle.physics import RegenForm
 HEAVIER = 1.15  # times the mass of the vehicle file: what the car of this page weighs
 VOLTS = 360.0
 SECONDS, HERTZ = 600, 10
-SHOWN = (State.DRAG, State.ROLLING, State.MASS, State.P_AUX, State.FORCE_SQUARED, State.TURNING)
+SHOWN = (*PHYSICS[:3], State.P_AUX, State.FORCE_SQUARED, State.TURNING)
 
 PAGE = """\
 # One interval, in numbers

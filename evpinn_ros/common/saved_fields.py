@@ -82,7 +82,7 @@ class Saveable(ABC, Generic[State]):
 
     @abstractmethod
     def saved(self) -> State:
-        """State to save."""
+        """What `take` needs to go on from here."""
 
     @abstractmethod
     def take(self, saved: State) -> None:
@@ -147,7 +147,7 @@ def _adapter(kind: Any) -> Any:
 
 
 class Declared(NamedTuple):
-    """A declared field."""
+    """What the annotation of a saved field says of it."""
 
     kind: Any  # its type, without None
     range: Range | None  # of its numbers, None where none is declared

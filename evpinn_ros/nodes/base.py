@@ -261,7 +261,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.log(Level.WARN, text)
 
     def steady_s(self) -> float:
-        """Monotonic clock, s."""
+        """A clock that no jump of time changes, s; tests replace it."""
         return time.monotonic()
 
     def health(

@@ -26,7 +26,7 @@ class Stateful(Protocol):
     """Something whose state can be saved: `OnlineEstimator`, `EnergyAccount`."""
 
     def export(self) -> Mapping[str, Any]:
-        """State to save."""
+        """What `restore` takes, as JSON holds it."""
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a saved state; ValueError when it does not fit."""

@@ -217,7 +217,7 @@ class History:
         self.add_block(Block.of([reading]))
 
     def add_block(self, block: Block) -> None:
-        """Take admitted readings."""
+        """Append admitted readings to their series; after a jump `JUMP_GAP` later."""
         stamps = block.stamps()
         if self._start_ns is None:
             self._start_ns = self._newest_ns = int(stamps[0])

@@ -282,7 +282,7 @@ class Batteries:
         self._last, self._changes = "", 0
 
     def add(self, message: Any) -> None:
-        """Take a BatteryState."""
+        """Count a change where this battery is another than the last."""
         parts = message.serial_number, message.location, message.header.frame_id
         name = "/".join(filter(None, parts))
         self._changes += bool(self._last) and name != self._last

@@ -218,9 +218,9 @@ def test_the_charge_of_a_car_that_nothing_was_learned_of_is_by_its_capacity():
 def test_a_learner_without_a_model_answers_by_its_parameters(result):
     car, final = result.vehicle, result.replayed.drive.final
     by_parameters = known_model(None, final, car).car
-    assert by_parameters.mean[State.MASS] == final.identifiable.mass_over_eta
+    assert by_parameters.mean[State.MASS_OVER_ETA] == final.identifiable.mass_over_eta
     by_file = known_model(None, None, car).car
-    assert by_file.mean[State.MASS] == pytest.approx(car.initial.mass / car.initial.eta)
+    assert by_file.mean[State.MASS_OVER_ETA] == pytest.approx(car.initial.mass / car.initial.eta)
 
 
 def test_trips_of_a_day_are_results_that_learn_from_each_other(table, tmp_path):

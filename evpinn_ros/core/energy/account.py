@@ -78,7 +78,7 @@ class EnergyTotals(NamedTuple):
         return Uncertain(self.drawn - self.regenerated, math.sqrt(self.variance))
 
     def plus(self, other: EnergyTotals) -> EnergyTotals:
-        """Both together."""
+        """The sum of both, field by field."""
         return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
 
     def not_below(self, before: EnergyTotals) -> EnergyTotals:
@@ -403,7 +403,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def trip(self) -> TripLog:
-        """Distance and consumption."""
+        """Distance and consumption of the trip, up to all that was fed."""
         self._extend()
         return self._trip
 

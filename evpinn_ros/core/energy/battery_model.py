@@ -252,7 +252,7 @@ class BatteryModel(Saveable[SavedBattery]):
         return 2 * power / (voltage + root)  # the stable form, also for R = 0
 
     def saved(self) -> SavedBattery:
-        """State to save."""
+        """Mean and covariance of the model, and the gauge."""
         covariance = self._covariance.ravel()
         return SavedBattery(self.samples, self._state, covariance, self._gauge.saved())
 

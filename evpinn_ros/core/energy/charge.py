@@ -231,6 +231,6 @@ class ChargeGauge(Saveable[SavedGauge]):
         return Uncertain(charge.value * self.capacity.value, sigma)
 
     def saved(self) -> SavedGauge:
-        """State to save."""
+        """The capacity, once it was learned, and the step of the charge, once it was seen."""
         capacity = self.capacity if self.learned > 0 else None
         return SavedGauge(capacity, self.learned, self._step if self._step_seen else None)

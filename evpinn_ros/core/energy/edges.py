@@ -117,7 +117,7 @@ def edge_energies(
     own += car.load_variance * legs.duration**2
     own += car.growth * car.weight_over_eta**2 * legs.length * ~legs.height_known
     share = car.unevenness.share
-    by_chance = 0.5 * car.mean[State.MASS] * (legs.length / legs.duration) ** 2 * uneven
+    by_chance = 0.5 * car.mean[State.MASS_OVER_ETA] * (legs.length / legs.duration) ** 2 * uneven
 
     def trip(edges: np.ndarray) -> Uncertain:
         climb = np.where(legs.height_known, legs.climb, math.nan)

@@ -59,7 +59,7 @@ class Energies(NamedTuple):
     sigma: Any
 
 
-class Curve(NamedTuple):
+class EnergyCurve(NamedTuple):
     """Energy along a course, whatever points the plan has: arrays of shape (n,).
 
     Attributes:
@@ -94,7 +94,7 @@ class Forecast:
     power: np.ndarray
     sigma: np.ndarray
     end: PlanEnd = UNKNOWN_END
-    curve: Curve | None = None
+    curve: EnergyCurve | None = None
 
     @property
     def on_curve(self) -> Forecast:
@@ -380,7 +380,7 @@ def forecast_plan(
         energy += model.car.mean[State.LOAD] * wandered(elapsed)[1]
         sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
     energy, sigma = (np.concatenate(([0.0], column)) for column in (energy, sigma))
-    curve = Curve(course.time, course.distance, energy, sigma)
+    curve = EnergyCurve(course.time, course.distance, energy, sigma)
     time = np.append((points.time - points.time[0])[:-1], curve.time[-1])  # equal but for rounding
     energy = np.interp(time, curve.time, curve.energy)
     sigma = np.interp(time, curve.time, curve.sigma)

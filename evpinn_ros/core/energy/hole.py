@@ -19,7 +19,7 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.energy.plausible import MOST_ENERGY, Joules
-from evpinn_ros.core.energy.quadrature import Course
+from evpinn_ros.core.energy.quadrature import IntegralCourse
 from evpinn_ros.core.energy.uncertainty import walked
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
@@ -47,7 +47,7 @@ class RecentPower(NamedTuple):
     square: Square = 0.0
 
 
-def recent_powers(before: np.ndarray, course: Course) -> np.ndarray:
+def recent_powers(before: np.ndarray, course: IntegralCourse) -> np.ndarray:
     """Rows of `RecentPower` before and after each of n steps, the first is given; (n + 1, 3)."""
     steps, begin, end = course.steps, course.begin, course.end
     known = steps * course.joined

@@ -27,8 +27,8 @@ from evpinn_ros.core.energy.hole import RecentPower, away_since, recent_powers, 
 from evpinn_ros.core.energy.plausible import ROUNDING, Joules, Seconds, Sigma
 from evpinn_ros.core.energy.quadrature import (
     MAX_GAP,
-    Course,
     EnergyIntegral,
+    IntegralCourse,
     SavedIntegral,
     counted,
 )
@@ -120,7 +120,7 @@ class Counts(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedMeter:
-    """Integrals of a meter, their 1-sigma, J, and what `Dropouts` holds; see `EnergyState`.
+    """Integrals of a meter, their 1-sigma, J, and the present dropout; see `EnergyState`.
 
     Attributes:
         until_ns: the moment up to which all is counted, 0 if nothing is to be joined to it.
@@ -204,7 +204,7 @@ class MeterCourse:
 
     predicted: PowerBlock
     measured: PowerBlock
-    integrals: tuple[Course, Course]
+    integrals: tuple[IntegralCourse, IntegralCourse]
     parts: np.ndarray
     plain: np.ndarray
     rknn: np.ndarray
@@ -502,7 +502,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         self.course = _with_ended(course, at, theirs.stamps[silences])
         return self.course
 
-    def _by_network(self, course: Course, last: np.ndarray) -> np.ndarray:
+    def _by_network(self, course: IntegralCourse, last: np.ndarray) -> np.ndarray:
         """Energy by the network after each sample used, and its last mean power, J and W."""
         energies = np.zeros(len(course.steps))
         joined = course.joined.nonzero()[0]
@@ -521,7 +521,7 @@ class EnergyMeter(Saveable[SavedMeter]):
 
     @property
     def state(self) -> EnergyState:
-        """The state now."""
+        """What was counted up to the newest stamp."""
         return next(self.course.states(self.course.end).rows())
 
     def saved(self) -> SavedMeter:
@@ -563,7 +563,7 @@ def _joined_to_before(
 
 def _variances(
     error: CorrelatedError,
-    course: Course,
+    course: IntegralCourse,
     sigmas: np.ndarray,
     besides: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:

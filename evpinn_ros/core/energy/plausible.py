@@ -44,7 +44,7 @@ def car_is_possible(car: CarModel) -> bool:
     Judged by a fast ride and by a stand in the cold: neither mean nor 1-sigma is beyond
     `MAX_POWER`; and no mass is.
     """
-    if not is_within(car) or not 0.0 < car.mean[State.MASS] <= MOST_MASS:
+    if not is_within(car) or not 0.0 < car.mean[State.MASS_OVER_ETA] <= MOST_MASS:
         return False
     if np.diag(car.covariance).min() < 0.0 or car.unevenness.share > MOST_SHARE:
         return False

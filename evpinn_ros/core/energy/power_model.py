@@ -305,8 +305,9 @@ def even_steps(duration: Any, distance: Any, climb: Any, wind: float = 0.0) -> S
 def _loaded(model: PowerModel, payload: float) -> PowerModel:
     car = model.car
     mean, eta = car.mean.copy(), car.equation.eta + car.mean[State.ETA]
-    c_rr = mean[State.ROLLING] / mean[State.MASS] if mean[State.MASS] else 0.0  # energy per km
-    mean[State.MASS] += payload / eta
+    mass = mean[State.MASS_OVER_ETA]
+    c_rr = mean[State.ROLLING] / mass if mass else 0.0  # energy per km
+    mean[State.MASS_OVER_ETA] = mass + payload / eta
     mean[State.ROLLING] += c_rr * payload / eta
     return PowerModel(replace(car, mean=mean))
 
@@ -339,6 +340,6 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
     )
     covariance[index, index] = np.square(std)
     # What is not known of the mass is not known of its rolling either.
-    both = [State.ROLLING, State.MASS], [State.MASS, State.ROLLING]
+    both = [State.ROLLING, State.MASS_OVER_ETA], [State.MASS_OVER_ETA, State.ROLLING]
     covariance[both] = c_rr * np.square(sigmas.mass_over_eta)
     return PowerModel(replace(car, mean=mean, covariance=covariance))

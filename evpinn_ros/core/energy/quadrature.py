@@ -32,7 +32,7 @@ def trapezoid(values: np.ndarray, at: np.ndarray) -> float:
 
 
 def joined(steps: np.ndarray, max_gap: float, before: np.ndarray = NONE) -> np.ndarray:
-    """Mask of the steps, s, shape (n,), that are integrated, by the rule of `track.Cadence`.
+    """Mask of the steps, s, shape (n,), that are integrated, by the rule of `SignalTrack`.
 
     Args:
         steps: positive, in order.
@@ -100,7 +100,7 @@ class SavedIntegral:
 NOTHING = SavedIntegral()
 
 
-class Course(NamedTuple):
+class IntegralCourse(NamedTuple):
     """What an integral counts of a block of n samples, of which it uses m.
 
     Attributes:
@@ -170,7 +170,7 @@ class EnergyIntegral:
         """Samples that were not used."""
         return self.total.out_of_order + self.total.not_finite
 
-    def extend(self, stamps: np.ndarray, values: np.ndarray) -> Course:
+    def extend(self, stamps: np.ndarray, values: np.ndarray) -> IntegralCourse:
         """Take samples in order of arrival: stamps, ns, and values, W, shape (n,) each."""
         finite = np.isfinite(values)
         newest = np.maximum.accumulate(
@@ -196,7 +196,7 @@ class EnergyIntegral:
         totals[:3, 1:] *= mask
         totals[3, 1:], totals[4, 1:] = gap, steps * gap
         drawn, regenerated, covered_s, gaps, gap_s = totals.cumsum(axis=1)
-        course = Course(
+        course = IntegralCourse(
             counted(taken),
             taken.nonzero()[0],
             at,

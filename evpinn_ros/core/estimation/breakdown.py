@@ -69,7 +69,7 @@ KNOWN_SHARE = 0.02  # of what went in and out: a part less unsure than that is k
 
 @dataclass(frozen=True, slots=True)
 class Amount:
-    """An energy."""
+    """Energy of a part of a drive, and per distance."""
 
     kwh: Annotated[
         float,
@@ -127,7 +127,7 @@ class Breakdown(Totals):
         return amounts
 
     def of(self, *chosen: Part) -> Amount:
-        """Some parts together."""
+        """Energy of these parts together, with the sigma of their sum."""
         index = list(chosen)
         return self._amount(float(self.energy[index].sum()), self._variance(chosen))
 
@@ -245,14 +245,14 @@ class DriveParts:
 
     @classmethod
     def none(cls) -> DriveParts:
-        """No interval."""
+        """Parts of a drive before its first interval: its fast states alone have energy."""
         rows = np.zeros((COUNT, SIZE))
         rows[Part.STANDING, [State.WANDERED, State.LOAD_ENERGY]] = 1.0
         rows[Part.SLOPE, [State.CLIMBED, State.CLIMB]] = 1.0
         return cls(rows)
 
     def plus(self, interval: Interval, parts: np.ndarray, noise: float) -> DriveParts:
-        """With one more interval, its `Equation.parts`, (COUNT, SIZE), and its noise, J^2."""
+        """With one more interval, its `Equation.split`, (COUNT, SIZE), and its noise, J^2."""
         own = parts.copy()
         own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY have what it gave
         more = (
@@ -314,7 +314,7 @@ def breakdowns(
     ]
     energy = rows @ mean[LASTING] + np.concatenate([drive.offset for drive in drives])
     whole = rows @ covariance[np.ix_(LASTING, LASTING)] @ rows.T
-    weight = GRAVITY * equation.eta * float(mean[State.MASS])
+    weight = GRAVITY * equation.eta * float(mean[State.MASS_OVER_ETA])
     growth = math.nan if equation.vehicle.in_traffic else state.bands.growth
     shape = len(drives), COUNT
     energy, whole = energy.reshape(shape), whole.reshape(shape + shape)

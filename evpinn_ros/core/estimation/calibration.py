@@ -126,7 +126,7 @@ class BandCalibration(Saveable[SavedBand]):
         self._ratio[checked.moving] = bounded
 
     def saved(self) -> SavedBand:
-        """State to save."""
+        """The learned ratios."""
         return SavedBand(self._ratio[True], self._ratio[False])
 
     def take(self, saved: SavedBand) -> None:

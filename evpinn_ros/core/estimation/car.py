@@ -219,7 +219,7 @@ class LearnedCar:
         parts = equation.split(done.rows, done.wheels, cold, done.warmth.tyres)
         noise = float(state.weights @ state.scale @ done.journey.noise)
         noise += max(0.0, (learned.residual / OUTLIER) ** 2 - learned.sigma**2)  # an outlier
-        weight = GRAVITY * float(state.weights @ state.mean[:, State.MASS])  # over eta, N
+        weight = GRAVITY * float(state.weights @ state.mean[:, State.MASS_OVER_ETA])  # over eta, N
         return replace(
             self._along(interval),
             state=state,

@@ -57,7 +57,7 @@ class CarModel:
     @property
     def weight_over_eta(self) -> float:
         """Weight of the car over eta, N."""
-        return GRAVITY * float(self.mean[State.MASS])
+        return GRAVITY * float(self.mean[State.MASS_OVER_ETA])
 
     def energy(self, journey: Journey) -> PredictedEnergy:
         """Energy of a journey, or of several, from here on, without any battery."""

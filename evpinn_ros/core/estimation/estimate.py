@@ -61,7 +61,7 @@ class ParameterEstimate:
         return self.trust.value
 
     def figures(self) -> dict[str, Any]:
-        """`FIGURES` of it."""
+        """Its numbers by the names of `FIGURES`."""
         return {name: getattr(self, name) for name in FIGURES}
 
 

@@ -669,7 +669,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return self._similarity.report(self._learner.report())
 
     def status(self) -> EstimatorStatus:
-        """Counters and activity."""
+        """Activity, counters and trust, as the diagnostics tell them."""
         parameters = self.parameters().parameters
         return EstimatorStatus(
             activity=self._activity(self._clock),
@@ -692,7 +692,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         )
 
     def saved(self) -> SavedEstimator:
-        """State to save."""
+        """The car by its mode and vehicle file, its bands and its lag."""
         bands = SavedBands(*(band.saved() for band in self._bands.values()))
         key, mode = self._vehicle.key, self._settings.mode.value
         lag = self._aligner.saved

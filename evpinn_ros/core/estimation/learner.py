@@ -173,7 +173,7 @@ class Learner(Protocol):
         return None
 
     def report(self) -> LearnerReport:
-        """Detections so far."""
+        """Changes and faults that were detected so far; none by default."""
         return LearnerReport()
 
     def forget_window(self) -> None:

@@ -120,7 +120,7 @@ class TrustHysteresis:
     """Hysteresis of trust: one that holds goes on holding a little beyond where it began."""
 
     def __init__(self) -> None:
-        """Nothing judged yet."""
+        """No parameter has been judged."""
         self._trust: dict[str, Trust] = {}
 
     def judge(
@@ -163,7 +163,7 @@ class TrustHysteresis:
 
 
 def _combined(source: Published) -> dict[str, _Combined]:
-    """Each identifiable combination."""
+    """Mean, sigma and prior of each combination that the data can determine, by name."""
     combinations = {}
     for name, weights in COMBINATIONS.items():
         direction = np.zeros(len(PARAMETER_NAMES))

@@ -321,7 +321,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._use(self._car.forget_road())
 
     def end_drive(self) -> None:
-        """Begin another drive."""
+        """Begin another drive, whose breakdown begins anew."""
         self._begin_drive(goes_on=False)
 
     def _begin_drive(self, *, goes_on: bool) -> None:
@@ -330,7 +330,7 @@ class PinnLearner(Saveable[SavedPinn]):
         self._use(self._car.begin_drive(compare=self._keep_drives, goes_on=goes_on))
 
     def saved(self) -> SavedPinn:
-        """State to save."""
+        """What was learned of the car, without the road and the seconds of now."""
         return SavedPinn(
             car=saved_state(self._car.judged()),
             uneven=self._car.uneven(),

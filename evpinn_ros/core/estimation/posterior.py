@@ -162,7 +162,7 @@ class CarState:
         return self.with_gaussian(replace_states(self.gaussian, variances))
 
 
-class Learned(NamedTuple):
+class Residual(NamedTuple):
     """Innovation of one interval: measured less predicted, J, and its 1-sigma, J."""
 
     residual: float
@@ -212,7 +212,7 @@ def passed(equation: Equation, interval: Interval, seconds: float) -> PassedInte
     return PassedInterval(interval, wheels, rows, journey_of(interval, rows.sum(0)), warmth)
 
 
-def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[CarState, Learned]:
+def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[CarState, Residual]:
     """The state after an interval whose battery was measured, and its innovation."""
     interval, conditions = done.interval, done.interval.conditions
     state = advance(state, interval.duration, unseen_of(interval))
@@ -251,7 +251,7 @@ def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
         rows[climb] = 0.0
         rows[energy] = integral * rows[load]
         rows[load] *= left
-    weight = GRAVITY * state.mean[:, State.MASS]
+    weight = GRAVITY * state.mean[:, State.MASS_OVER_ETA]
     covariance[:, climb, climb] += weight**2 * state.bands.growth * unseen
     covariance[:, load, load] += state.load_variance * (1.0 - left**2)
     covariance[:, energy, energy] += state.load_variance * rest
@@ -263,7 +263,7 @@ def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
 
 def condition(
     state: CarState, journey: Journey, energy: float, sampling: float
-) -> tuple[CarState, Learned]:
+) -> tuple[CarState, Residual]:
     """Learn from the energy, J, of a journey that has just passed (`advance` first).
 
     `sampling` is its variance due to the rate of its readings, J^2.
@@ -279,7 +279,7 @@ def condition(
     weights = state.weights
     mean = float(weights @ seen.residual)
     variance = float(weights @ (seen.variance + (seen.residual - mean) ** 2))
-    return replace(state, intervals=state.intervals + 1), Learned(mean, math.sqrt(variance))
+    return replace(state, intervals=state.intervals + 1), Residual(mean, math.sqrt(variance))
 
 
 def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:

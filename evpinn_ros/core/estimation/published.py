@@ -88,7 +88,7 @@ class Driven:
 
     @classmethod
     def nowhere(cls) -> Driven:
-        """No driving."""
+        """Sums over no step, with the names of this version."""
         names = tuple(NAMES[state] for state in BESIDE)
         return cls(
             np.zeros((4, 4)), np.zeros((4, len(names))), np.zeros(3), returned=0.0, names=names
@@ -266,7 +266,7 @@ def _linear(
     prior = equation.mean[State.ROLLING]
     tyres = driven.cold_tyres / max(driven.distance, 1.0)
     theta[1, TYRES] = prior * np.array([coldness(celsius), tyres, 1.0])
-    theta[1:3, State.MASS_DRIVE] = prior / equation.mean[State.MASS], 1.0
+    theta[1:3, State.MASS_DRIVE] = prior / equation.mean[State.MASS_OVER_ETA], 1.0
     drag, rolling, mass, back = (theta @ mean).tolist()
     drag, rolling, mass = (max(value, 1e-3) for value in (drag, rolling, mass))
     share = driven.braked_share(equation, np.array([drag, rolling, mass]))

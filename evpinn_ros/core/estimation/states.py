@@ -52,10 +52,10 @@ class State(IntEnum):
         state.mean, state.std = mean, std
         return state
 
-    DRAG = "m^2", CAR, None, None, "A C_d / eta of the vehicle file"
+    DRAG_AREA_OVER_ETA = "m^2", CAR, None, None, "A C_d / eta of the vehicle file"
     ROLLING = "kg", CAR, None, None, "C_rr m / eta of the vehicle file"
-    MASS = "kg", CAR, None, None, "m / eta of the vehicle file"
-    BACK = "1", CAR, None, None, "eta mu less that of the vehicle file"
+    MASS_OVER_ETA = "kg", CAR, None, None, "m / eta of the vehicle file"
+    REGEN_DELTA = "1", CAR, None, None, "eta mu less that of the vehicle file"
     ETA = "1", CAR, None, None, "eta less that of the vehicle file; motor torque alone shows it"
     P_AUX = "W", CAR, None, None, "p_aux of the vehicle file: standing load on a mild day"
     MOTOR_DRIVE = "1", CAR, None, None, "energy of the battery over that of the motor, driving"
@@ -89,13 +89,17 @@ SIZE = TABLE + NETWORK
 WEIGHTS = slice(TABLE, SIZE)
 LASTING = [*(s for s in State if s.level is CAR), *range(TABLE, SIZE)]  # states of the car
 OFFSETS = [State.ROLLING_DRIVE, State.MASS_DRIVE, State.LOAD_DRIVE]  # learned in a drive
-PHYSICS = [State.DRAG, State.ROLLING, State.MASS, State.BACK]  # the terms of eq. 21
+PHYSICS = [*State][:4]  # the terms of eq. 21
 NAMES = (*(state.name.lower() for state in State), *(f"network_{i}" for i in range(NETWORK)))
+SAVED_BEFORE = {  # names of states in files up to 0.3.0
+    "drag": "drag_area_over_eta", "mass": "mass_over_eta", "back": "regen_delta",
+}  # fmt: skip
 GEARS = 0.97, 0.03  # share of the motor's energy that reaches the wheels, with its 1-sigma
 
 
 def known_names(names: Sequence[str]) -> tuple[list[int], list[int]]:
     """Places of the states that are saved under these names and exist: there, and here."""
+    names = [SAVED_BEFORE.get(name, name) for name in names]
     there = [place for place, name in enumerate(names) if name in NAMES]
     return there, [NAMES.index(names[place]) for place in there]
 
@@ -112,10 +116,10 @@ def prior_of(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     share[5] = 1.0  # p_aux is no factor, and may be zero
     motor = GEARS[0] / eta
     values = {
-        State.DRAG: vehicle.frontal_area * c_d / eta,
+        State.DRAG_AREA_OVER_ETA: vehicle.frontal_area * c_d / eta,
         State.ROLLING: c_rr * mass / eta,
-        State.MASS: mass / eta,
-        State.BACK: eta * mu,
+        State.MASS_OVER_ETA: mass / eta,
+        State.REGEN_DELTA: eta * mu,
         State.ETA: eta,
         State.P_AUX: vehicle.priors["p_aux"].std,
         State.MOTOR_DRIVE: motor,
@@ -138,6 +142,6 @@ def prior_of(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     covariance[np.ix_(index, index)] = scale @ vehicle.correlation @ scale.T
     covariance[State.MOTOR_DRIVE, State.MOTOR_DRIVE] += (motor * GEARS[1] / GEARS[0]) ** 2
     mean[index] = [*values.values()]
-    mean[[State.BACK, State.ETA]] = 0.0
+    mean[[State.REGEN_DELTA, State.ETA]] = 0.0
     mean[State.P_AUX] = p_aux
     return mean, covariance

@@ -1,14 +1,15 @@
 """The one equation: battery energy of a step of driving, as terms times states.
 
-With the wheel energy of a step over eta, by the states of `estimation.states`,
+With the wheel energy of a step over eta, by the states of `estimation.states` (u: flow of the
+air, ROLLING' with the cold, the start and the offset of this drive),
 
-    t = DRAG rho/2 int u|u| v dt + ROLLING' g ds + MASS (k d(v^2/2) + g dh),
+    t = DRAG_AREA_OVER_ETA rho/2 int u|u| v dt + ROLLING' g ds
+        + MASS_OVER_ETA (k d(v^2/2) + g dh),
 
-(u: flow of the air, ROLLING' with the cold, the start and the offset of this drive) the battery
-gives
+the battery gives
 
     E = t                              where the prior car drives (its t > 0),
-      = eta mu t + BACK t_prior        where it brakes, eta mu of the prior,
+      = eta mu t + REGEN_DELTA t_prior where it brakes, eta mu of the prior,
       + FORCE_SQUARED int f^2 dt + TURNING int (1 + v / 10 m/s) / 2 dt
       + int v N(v, f) dt               the network (`estimation.network`),
       + loads dt                       standing, heating and cooling, wandering.
@@ -19,7 +20,7 @@ and which brakes is decided by the prior car; that was measured to lose nothing.
 torque is reported its energy stands in for t.
 
 Learning, prediction, dropouts, the breakdown, forecasts of plans and the truth of simulated cars
-all use `rows`; `parts` divides the same rows by where the energy goes. Nothing else knows the
+all use `rows`; `split` divides the same rows by where the energy goes. Nothing else knows the
 physics.
 """
 
@@ -210,9 +211,8 @@ class Equation:
         way = abs(distance)
         drag, rolling = 0.5 * density * air, GRAVITY * way
         inertia, height = self.vehicle.rotating_mass_factor * kinetic, GRAVITY * climb
-        mass = float(self.mean[State.MASS])
-        energy = float(self.mean[State.DRAG]) * drag + float(self.mean[State.ROLLING]) * rolling
-        energy = energy + mass * (inertia + height)
+        area, c_rr_mass, mass, _ = self.mean[PHYSICS].tolist()
+        energy = area * drag + c_rr_mass * rolling + mass * (inertia + height)
         driving = numbers(energy > 0.0, energy)
         least = within(way, LEAST_STEP, math.inf)
         force = within(energy / (mass * least), -MOST_FORCE, MOST_FORCE)
@@ -272,7 +272,7 @@ class Equation:
         """
         turns = numbers(wheels.speed > CREEPING, duration) * duration
         columns = dict(zip(PHYSICS, wheels.columns, strict=True))
-        mass, rolling = self.mean[[State.MASS, State.ROLLING]].tolist()
+        mass, rolling = self.mean[[State.MASS_OVER_ETA, State.ROLLING]].tolist()
         prior = rolling * columns[State.ROLLING]
         return columns | {
             State.FORCE_SQUARED: wheels.force**2 * turns,
@@ -280,7 +280,8 @@ class Equation:
             State.ROLLING_COLD: prior * cold,
             State.ROLLING_START: prior * tyres,
             State.ROLLING_DRIVE: prior,
-            State.MASS_DRIVE: columns[State.MASS] + prior * (1.0 / mass),  # tyres carry it too
+            # Tyres carry it too.
+            State.MASS_DRIVE: columns[State.MASS_OVER_ETA] + prior * (1.0 / mass),
             State.LOSS_DRIVE: abs(wheels.energy) * wheels.gain,
         }
 
@@ -300,13 +301,13 @@ class Equation:
         """
         parts, by_step = np.zeros((COUNT, SIZE)), np.zeros((4, *rows.shape))
         rolling = float(self.mean[State.ROLLING]) * wheels.rolling
-        by_step[Part.AIR, :, State.DRAG] = wheels.drag
+        by_step[Part.AIR, :, State.DRAG_AREA_OVER_ETA] = wheels.drag
         by_step[Part.TYRES, :, State.ROLLING] = wheels.rolling
         by_step[Part.TYRES, :, State.ROLLING_COLD] = rolling * cold
         by_step[Part.TYRES, :, State.ROLLING_START] = rolling * tyres
         by_step[Part.TYRES, :, State.ROLLING_DRIVE] = rolling
-        by_step[Part.TYRES, :, State.MASS_DRIVE] = rolling / float(self.mean[State.MASS])
-        for mass in (State.MASS, State.MASS_DRIVE):
+        by_step[Part.TYRES, :, State.MASS_DRIVE] = rolling / float(self.mean[State.MASS_OVER_ETA])
+        for mass in (State.MASS_OVER_ETA, State.MASS_DRIVE):
             by_step[Part.SLOPE, :, mass] = wheels.climb
             by_step[Part.SPEED, :, mass] = wheels.inertia
         prior = np.zeros(SIZE)

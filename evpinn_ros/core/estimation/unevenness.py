@@ -69,7 +69,8 @@ MOST_DRIVES = 1.0 / (1.0 - SPREAD_KEPT) + 1.0  # that these sums can hold
 MOST_SQUARES = MOST_DRIVES * MOST_RATIO
 JUDGED_DRIVE_METRES = 1000.0  # m of a drive that scatter is judged by
 MOST_FACTOR = 20.0  # of the tables
-UNEVEN_STATES = [State.DRAG, State.MASS, State.BACK]  # states that it has energy of
+# States that it has energy of.
+UNEVEN_STATES = [State.DRAG_AREA_OVER_ETA, State.MASS_OVER_ETA, State.REGEN_DELTA]
 
 
 class Runs(NamedTuple):
@@ -108,7 +109,7 @@ class Unevenness:
 
     @classmethod
     def none(cls) -> Unevenness:
-        """Before any drive."""
+        """Factors of a car whose own drives have shown nothing."""
         return cls(np.zeros(MIDDLES.shape), np.zeros(DURATIONS.shape), np.zeros(DURATIONS.shape))
 
     @property
@@ -195,7 +196,7 @@ def runs_along(even: Even) -> Runs:
 
 def sizes_of(runs: Runs, energy: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Size of the energy expected of each run, J, and that times the energy of a stop, J^2."""
-    stops = 0.5 * mean[State.MASS] * (runs.distance / runs.duration) ** 2
+    stops = 0.5 * mean[State.MASS_OVER_ETA] * (runs.distance / runs.duration) ** 2
     return np.abs(energy), np.abs(energy) * stops
 
 
@@ -225,7 +226,7 @@ def _rows(equation: Equation, runs: Runs, factors: np.ndarray) -> np.ndarray:
 def _per_metre(equation: Equation, density: float) -> np.ndarray:
     """Energy per metre of the tables, J per unit, shape (speeds, durations, 3)."""
     braked = equation.vehicle.rotating_mass_factor * BRAKED
-    mass = float(equation.mean[State.MASS])
+    mass = float(equation.mean[State.MASS_OVER_ETA])
     return np.stack((0.5 * density * AIR, (1.0 - equation.back) * braked, -mass * braked), -1)
 
 
@@ -252,7 +253,10 @@ def _beyond(
     lasting = np.bincount(owner, drive.duration) > 0.0
     driven = np.bincount(run, np.bincount(owner, energy)[lasting])
     kinetic = np.bincount(run, legs.kinetic) - np.bincount(even.run, even.steps.kinetic)
-    half = mean[State.MASS] * (1.0 + equation.back) + mean[State.BACK] * equation.mean[State.MASS]
+    half = (
+        mean[State.MASS_OVER_ETA] * (1.0 + equation.back)
+        + mean[State.REGEN_DELTA] * equation.mean[State.MASS_OVER_ETA]
+    )
     carried = equation.vehicle.rotating_mass_factor * kinetic * half / 2.0
     return runs, driven - np.bincount(even.run, _moving(equation, even.steps) @ mean) - carried
 

@@ -87,5 +87,5 @@ class ThreadWorker(InlineWorker):
         self._future = None
 
     def close(self) -> None:
-        """Begin nothing more."""
+        """Cancel what has not begun; do not wait for what has."""
         self._executor.shutdown(wait=False, cancel_futures=True)

@@ -37,7 +37,7 @@ class Rows(NamedTuple):
     values: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> Rows:
-        """The chosen ones."""
+        """The rows of a mask or slice."""
         return Rows(self.order[chosen], self.stamps[chosen], self.values[:, chosen])
 
 

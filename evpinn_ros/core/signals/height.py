@@ -65,7 +65,7 @@ class HeightProfile:
     """Heights by the odometer, their average a moving integral."""
 
     def __init__(self) -> None:
-        """Nothing known."""
+        """A profile without a height."""
         self._odometer: list[float] = []
         self._height: list[float] = []
         self._integral: list[float] = []  # of height along the way, m^2

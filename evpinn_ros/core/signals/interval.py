@@ -96,7 +96,7 @@ class Interval:
 
     @property
     def duration(self) -> float:
-        """Length, s."""
+        """From its first stamp to its last, s."""
         return (self.end_ns - self.start_ns) / NANOSECONDS
 
     @property
@@ -150,7 +150,7 @@ class IntervalBuilder:
     def __init__(
         self, speed: SpeedTrack, battery: BatteryTrack, motor: MotorTrack, road: Road
     ) -> None:
-        """Start empty."""
+        """An interval of these tracks that has not begun."""
         self._speed, self._battery, self._motor, self._road = speed, battery, motor, road
         self._height = HeightProfile()
         self._edges = NO_EDGES  # from the first that an interval to come begins with

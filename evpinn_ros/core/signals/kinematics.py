@@ -38,7 +38,7 @@ LOOK_BACK_NS = int((TAPS + 2) * TAP_PERIOD * NANOSECONDS)  # of speed that a mom
 TARGET_STD = 0.2  # m/s^2, how far smoothed and causal acceleration lie apart
 
 
-class Driven(NamedTuple):
+class Motion(NamedTuple):
     """What was driven between moments, shape (n - 1,) each.
 
     Attributes:
@@ -56,7 +56,7 @@ class Driven(NamedTuple):
 class SpeedTrack(SignalTrack):
     """The latest speeds, m/s, in order of stamps."""
 
-    def driven(self, stamps: np.ndarray, head_wind: np.ndarray) -> Driven:
+    def driven(self, stamps: np.ndarray, head_wind: np.ndarray) -> Motion:
         """What was driven between the stamps of n speeds.
 
         Between readings speed is linear, so distance and flow are exact while the flow keeps its
@@ -78,7 +78,7 @@ class SpeedTrack(SignalTrack):
         air = (drag(speed[:-1]) + 4 * drag(middle) + drag(speed[1:])) / 6
         leaps = np.abs(np.diff(speed)) > LEAST_LEAP + MAX_ACCELERATION * steps
         begins = places[:-1] - places[0]
-        return Driven(
+        return Motion(
             np.add.reduceat(middle * steps, begins),
             np.add.reduceat(air * steps, begins),
             np.logical_or.reduceat(leaps, begins),

@@ -44,7 +44,7 @@ class NewestSpeeds(NamedTuple):
     motor_power: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> NewestSpeeds:
-        """The chosen ones."""
+        """The rows of a mask or slice."""
         return NewestSpeeds._make(column[chosen] for column in self)
 
     def until(self, stamp_ns: int) -> tuple[NewestSpeeds, NewestSpeeds]:

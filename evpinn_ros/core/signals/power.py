@@ -82,7 +82,7 @@ class BatteryTrack:
         self._coarse = np.concatenate((self._coarse, coarse[changes]))
 
     def forget_before(self, needed_ns: int) -> None:
-        """See `SignalTrack.forget_before`."""
+        """Drop readings that no moment from `needed_ns` on rests on."""
         for track in self.tracks:
             track.forget_before(needed_ns)
         first = max(0, int(self._coarse_ns.searchsorted(needed_ns)) - 1)

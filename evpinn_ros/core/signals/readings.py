@@ -106,7 +106,7 @@ class AltitudeReading:
 
     @property
     def has_position(self) -> bool:
-        """See `has_position`."""
+        """Whether latitude and longitude are those of a fix."""
         return bool(has_position(self.latitude, self.longitude))
 
 

@@ -153,7 +153,7 @@ class Road:
             self.altitudes.extend(altitudes.stamps, altitudes.values[0])
 
     def forget_before(self, needed_ns: int) -> None:
-        """See `SignalTrack.forget_before`."""
+        """Drop readings that no moment from `needed_ns` on rests on."""
         for told in (self._celsius, self._pascal, self._wind, self._auxiliary, self._pitch,
                      self._slope):  # fmt: skip
             told.forget_before(needed_ns)

@@ -60,7 +60,7 @@ class Samples(NamedTuple):
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> Samples:
-        """Samples as columns."""
+        """Columns of samples in their order."""
         if not samples:
             return NO_SAMPLES
         stamps, *columns = zip(*samples, strict=True)
@@ -72,7 +72,7 @@ class Samples(NamedTuple):
         return len(self.stamp_ns)
 
     def where(self, chosen: np.ndarray | slice) -> Samples:
-        """The chosen ones."""
+        """The rows of a mask or slice."""
         return Samples._make([column[chosen] for column in self])
 
     def and_then(self, later: Samples) -> Samples:
@@ -116,7 +116,7 @@ class Measured(NamedTuple):
     place: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> Measured:
-        """The chosen ones."""
+        """The rows of a mask or slice."""
         return Measured(self.samples.where(chosen), *(column[chosen] for column in self[1:]))
 
 
@@ -132,7 +132,7 @@ class Newest(NamedTuple):
     known_ns: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> Newest:
-        """The chosen ones."""
+        """The rows of a mask or slice."""
         return Newest(self.samples.where(chosen), self.known_ns[chosen])
 
 

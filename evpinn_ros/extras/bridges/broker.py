@@ -52,7 +52,7 @@ class BrokerSettings:
 
     @property
     def address(self) -> str:
-        """Address for people."""
+        """URL of the broker, without name and password."""
         return f"{'mqtts' if self.tls else 'mqtt'}://{self.host}:{self.port}"
 
 

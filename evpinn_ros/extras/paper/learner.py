@@ -263,7 +263,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         self._last_ns = None
 
     def saved(self) -> SavedPaper:
-        """State to save."""
+        """Weights and scale of the trained network, and its standing load."""
         return SavedPaper(
             network=self._trained.network.vector().detach().numpy(),
             log_scale=self._trained.log_scale.detach().numpy(),

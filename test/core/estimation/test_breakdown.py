@@ -18,7 +18,9 @@ EQUATION = equation_of(load_vehicle("tesla_model_3_lr"))
 @pytest.fixture(scope="module")
 def town(intervals):
     """Five minutes of a car a little heavier than the prior."""
-    return measured(EQUATION, intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0), 500.0, MASS=1.05)
+    return measured(
+        EQUATION, intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0), 500.0, MASS_OVER_ETA=1.05
+    )
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,7 @@ def later(learned, intervals):
     """Another drive in town, a minute after the first."""
     begin_ns = learned.end_ns + 60 * 10**9
     drive = intervals((DriveKind.URBAN, 300.0, 1), begin_ns=begin_ns)
-    return measured(EQUATION, drive, 500.0, seed=1, MASS=1.05)
+    return measured(EQUATION, drive, 500.0, seed=1, MASS_OVER_ETA=1.05)
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,7 @@ def test_hours_without_excitation_move_nothing(vehicle, drive, speed, power, sec
     before, known = chain.car.state.mixture(), chain.parameters()
     chain.add_readings(steady(later + 180 * NANOSECONDS, seconds - 180, speed, power))
     moved_by = chain.car.state.mixture().mean - before.mean
-    for state in (State.MASS, State.BACK):
+    for state in (State.MASS_OVER_ETA, State.REGEN_DELTA):
         std = math.sqrt(before.covariance[state, state])
         assert abs(moved_by[state]) <= sigmas * std, state
     after = chain.parameters()

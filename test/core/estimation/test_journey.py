@@ -40,7 +40,7 @@ def between(tail: Tail, start_ns: int, end_ns: int) -> Journey:
 
 def test_air_comes_from_ahead_in_a_head_wind():
     moments = [Sample(0, 20.0, 0.0, 0.0, 1.2, 0.0, head_wind=wind) for wind in (0.0, 5.0, -5.0)]
-    calm, ahead, behind = EQUATION.rows_of(Samples.of(moments), WARM)[:, State.DRAG]
+    calm, ahead, behind = EQUATION.rows_of(Samples.of(moments), WARM)[:, State.DRAG_AREA_OVER_ETA]
     assert (ahead / calm, behind / calm) == pytest.approx((25**2 / 20**2, 15**2 / 20**2))
 
 
@@ -79,7 +79,7 @@ def test_the_motor_stands_in_for_the_wheels_and_heating_is_counted():
     end = 9 * NANOSECONDS
     motor = between(tail_of(town(100, motor_power=5e3)), 0, end)
     assert motor.row[State.MOTOR_DRIVE] == pytest.approx(45e3)
-    assert motor.row[State.MASS] == 0.0 and motor.noise[2] > 0.0 == motor.noise[1]
+    assert motor.row[State.MASS_OVER_ETA] == 0.0 and motor.noise[2] > 0.0 == motor.noise[1]
     cold = between(tail_of(town(100, celsius=0.0)), 0, end)
     assert cold.row[State.COLD] == pytest.approx(20.0 * 9.0)
 

@@ -287,7 +287,7 @@ def test_a_car_that_forecasts_is_the_car_that_was_learned(learner):
     car = learner.model()
     assert np.isfinite(car.mean).all() and np.isfinite(car.covariance).all()
     published = learner.parameters().identifiable
-    assert car.mean[State.MASS] == pytest.approx(published.mass_over_eta, rel=0.05)
+    assert car.mean[State.MASS_OVER_ETA] == pytest.approx(published.mass_over_eta, rel=0.05)
     learner.end_drive()
     assert learner.model().seconds == 0.0
 

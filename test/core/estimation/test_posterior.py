@@ -40,7 +40,7 @@ EQUATION = equation_of(CAR)
 def town(intervals):
     """Four minutes of a car that differs from the prior, with noise."""
     drive = intervals((DriveKind.URBAN, 240.0, 0), begin_ns=0)
-    return measured(EQUATION, drive, 2e3, seed=1, MASS=1.1, DRAG=0.9)
+    return measured(EQUATION, drive, 2e3, seed=1, MASS_OVER_ETA=1.1, DRAG_AREA_OVER_ETA=0.9)
 
 
 def learned(drive):
@@ -237,9 +237,11 @@ def test_what_the_hypotheses_were_worth_is_forgotten(town):
 def test_a_fast_car_s_motor_tells_less_of_its_mass():
     """Its noise is a force, which is energy by the road; drawn alike, more of it is noise."""
     rows = np.zeros((2, SIZE))
-    rows[:, State.MASS], rows[:, State.MOTOR_DRIVE] = 100.0, -1e5
+    rows[:, State.MASS_OVER_ETA], rows[:, State.MOTOR_DRIVE] = 100.0, -1e5
     slow, fast = (see_motor(initial_state(EQUATION), rows, square) for square in (1e2, 1e5))
-    variances = [state.covariance[:, State.MASS, State.MASS] for state in (slow, fast)]
+    variances = [
+        state.covariance[:, State.MASS_OVER_ETA, State.MASS_OVER_ETA] for state in (slow, fast)
+    ]
     assert (variances[0] < 0.9 * variances[1]).all()
 
 
@@ -258,7 +260,7 @@ def test_letting_time_pass_is_one_linear_step_of_the_states_with_noise():
     fresh = after.covariance - step @ covariance @ step.T
     np.testing.assert_allclose(after.mean, mean @ step.T, rtol=1e-12)
     load, energy, climb = State.LOAD, State.LOAD_ENERGY, State.CLIMB
-    weight = GRAVITY * mean[:, State.MASS]
+    weight = GRAVITY * mean[:, State.MASS_OVER_ETA]
     for k, variance in enumerate(before.load_variance):
         expected = np.zeros((SIZE, SIZE))
         expected[load, load], expected[energy, energy] = variance * (1 - left**2), variance * rest

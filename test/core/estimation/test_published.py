@@ -103,7 +103,7 @@ def test_a_network_taught_in_town_is_hardly_booked_as_drag(in_town, seed):
     _, car = in_town(seed)
     drag, rolling = (car.driven.share(car.equation)[:2, -NETWORK:] ** 2).sum(1) ** 0.5
     std = min(NETWORK_STDS)
-    assert 0.0 < std * drag < 0.12 * car.equation.mean[State.DRAG]
+    assert 0.0 < std * drag < 0.12 * car.equation.mean[State.DRAG_AREA_OVER_ETA]
     assert 0.0 < std * rolling < 0.2 * car.equation.mean[State.ROLLING]
 
 
@@ -181,7 +181,7 @@ def mixed(vehicle, intervals) -> Callable[[float], LearnedCar]:
     """A car learned on mixed roads, of whose heights the first share is not known."""
     equation = equation_of(vehicle)
     drive = measured(
-        equation, intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0), 500.0, MASS=1.05
+        equation, intervals((DriveKind.MIXED, 600.0, 3), begin_ns=0), 500.0, MASS_OVER_ETA=1.05
     )
 
     @cache

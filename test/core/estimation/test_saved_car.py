@@ -15,7 +15,7 @@ from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.published import UNNAMED
 from evpinn_ros.core.estimation.saved_car import saved_state, state_of
-from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SIZE, State
+from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SAVED_BEFORE, SIZE, State
 from evpinn_ros.core.estimation.terms import BESIDE, equation_of
 from evpinn_ros.core.estimation.unevenness import DURATIONS
 from evpinn_ros.core.vehicle.files import load_vehicle
@@ -32,7 +32,7 @@ FRESH = initial_state(EQUATION)
 def town(intervals):
     """Five minutes of a car that is heavier than its prior, on a cold day."""
     drive = intervals((DriveKind.URBAN, 300.0, 0), begin_ns=0, celsius=5.0)
-    return measured(EQUATION, drive, 1e3, seed=2, MASS=1.1)
+    return measured(EQUATION, drive, 1e3, seed=2, MASS_OVER_ETA=1.1)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def with_states(saved: CarState, order: list[int | None]) -> CarState:
     count, size = len(saved.evidence), len(saved.names)
     mean = np.reshape(saved.mean, (count, size))
     covariance = np.reshape(saved.covariance, (count, size, size))
-    like = [State.MASS if place is None else place for place in order]
+    like = [State.MASS_OVER_ETA if place is None else place for place in order]
     own = covariance[:, like][:, :, like]
     names = [f"of_later_{k}" if i is None else saved.names[i] for k, i in enumerate(order)]
     return replace(
@@ -135,6 +135,12 @@ def test_a_state_that_a_file_lacks_begins_at_its_prior(learned, missing):
         assert restored.offset_variance[place] == source.offset_variance[place]
 
 
+def test_a_state_that_was_renamed_is_read_by_its_former_name(learned):
+    saved, former = saved_state(learned), {new: old for old, new in SAVED_BEFORE.items()}
+    names = tuple(former.get(name, name) for name in saved.names)
+    assert_same(state_of(replace(saved, names=names), EQUATION), learned)
+
+
 def test_a_state_of_a_later_version_is_left_out(learned):
     later = with_states(saved_state(learned), [None, *range(SIZE), None])
     assert_same(state_of(later, EQUATION), learned)
@@ -174,7 +180,9 @@ def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
     older.restore(without(saved, state))
     same.restore(saved)
     model, before = older.model(), same.model()
-    assert model.mean[State.MASS] == pytest.approx(before.mean[State.MASS], rel=1e-12)
+    assert model.mean[State.MASS_OVER_ETA] == pytest.approx(
+        before.mean[State.MASS_OVER_ETA], rel=1e-12
+    )
     assert model.mean[state] == pytest.approx(EQUATION.mean[state])
     for interval in town[:10]:
         older.add_interval(interval)

@@ -153,7 +153,7 @@ def test_a_drivetrain_that_turns_loses_as_much_while_the_car_brakes():
         second, 20.0 * second, 8000.0 * second, -30.0 * second, 0.0 * second, none, none
     )
     parts = parts_of(braking, MILD)
-    assert parts[Part.REGAINED, State.BACK] > 0.0
+    assert parts[Part.REGAINED, State.REGEN_DELTA] > 0.0
     assert parts[Part.DRIVETRAIN, State.TURNING] == pytest.approx(1.5)
     assert parts[Part.BRAKES, State.TURNING] == parts[Part.REGAINED, State.TURNING] == 0.0
 

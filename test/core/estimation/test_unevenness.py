@@ -131,7 +131,7 @@ def test_driving_of_150_km_ago_counts_a_third():
 def test_a_car_of_another_size_learns_the_same_factors():
     """The sums are metres: a scooter taken for a car forecasts as a scooter."""
     double = EQUATION.mean.copy()
-    double[[State.DRAG, State.MASS, State.ROLLING]] *= 2.0
+    double[[State.DRAG_AREA_OVER_ETA, State.MASS_OVER_ETA, State.ROLLING]] *= 2.0
     light, heavy = (
         Unevenness.none().after(EQUATION, mean, town(0)) for mean in (EQUATION.mean, double)
     )
