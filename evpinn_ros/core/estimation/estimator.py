@@ -72,7 +72,7 @@ from evpinn_ros.core.signals.readings import (
 from evpinn_ros.core.signals.reorder import Arrived, ReorderBuffer
 from evpinn_ros.core.signals.sample import Events, Measured, Samples
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
-from evpinn_ros.core.signals.stuck import StuckCourse, StuckDetector
+from evpinn_ros.core.signals.stuck import StuckDetector, Verdict, VerdictCourse
 from evpinn_ros.core.signals.track import LATER, NEVER
 from evpinn_ros.core.vehicle.files import CONSTANTS, GENERIC, Vehicle
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED, RegenForm
@@ -297,7 +297,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self.flush()
         self._find_size()
         for interval in self._stream.finish():
-            self._add_interval(interval, self._stuck)
+            self._add_interval(interval, self._stuck.verdict)
         self._tick(self._clock)  # takes the update before and begins the last
         return self._similarity.estimate(self._tick(self._clock))
 
@@ -396,7 +396,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             self._voltage, self._voltage_ns = reading.voltage, reading.stamp_ns
         power = drawn_power(self._voltage, reading.current)
         old = reading.stamp_ns - self._voltage_ns > self._stream.battery.voltage.gap_ns()
-        if old or power != power or self._stuck.detected == BATTERY_STUCK:
+        if old or power != power or self._stuck.verdict.detected == BATTERY_STUCK:
             return None
         stamp_ns = reading.stamp_ns - self._aligner.shift_ns
         size = self._similarity.size
@@ -405,7 +405,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _advance(self, block: Block, newest: NewestSpeeds) -> Outputs:
         """Take readings in order of stamps, and speeds to be predicted at once."""
-        self._courses = [StuckCourse((), (self._stuck,))]
+        self._courses = [VerdictCourse(0, [], [self._stuck.verdict])]
         self._surroundings = None
         if self._predicted:
             columns = (np.array(column) for column in zip(*self._predicted, strict=True))
@@ -453,8 +453,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         if self._sizing is not None and self.enabled:
             self._sizing.blocks.append(block)
         block = self._similarity.block(block)
-        course = self._stuck.course(block)
-        self._stuck = course.last
+        course = self._stuck.follow(block)
         self._courses.append(course)
         alignments = [(NEVER, self._aligner.now)]
         if self._settings.mode is not Mode.PAPER:
@@ -484,7 +483,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         size = self._similarity.size
         return Outputs(NO_POWERS, newest_rows.times(size), smoothed_rows.times(size), learned)
 
-    def _stamps_told(self, block: Block, course: StuckCourse) -> np.ndarray:
+    def _stamps_told(self, block: Block, course: VerdictCourse) -> np.ndarray:
         """Stamps of a block at which the battery measured power, ns."""
         rows = block.of_kind(BatteryReading)
         voltage, current = rows.values[:2]
@@ -521,10 +520,10 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _is_sound(self, watermark_ns: int) -> bool:
         """Whether the battery was not known to be stuck once all up to a stamp was known."""
-        course = next((c for c in reversed(self._courses) if c.begins_before(watermark_ns)), None)
+        course = next((c for c in reversed(self._courses) if c.begin_ns <= watermark_ns), None)
         return course is None or course.at(watermark_ns).detected != BATTERY_STUCK
 
-    def _admitted(self, measured: Measured, course: StuckCourse) -> Measured:
+    def _admitted(self, measured: Measured, course: VerdictCourse) -> Measured:
         """The measured samples at which no sensor is stuck."""
         if course.is_quiet:
             return measured
@@ -538,7 +537,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         span: Span,
         events: Events,
         measured: Measured,
-        course: StuckCourse,
+        course: VerdictCourse,
         ticks: Sequence[_Clock],
     ) -> tuple[Predictions, list[Learned]]:
         """Process the block's samples, intervals and ticks in order of stamps."""
@@ -572,7 +571,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._news |= self._learner.learns_samples and span.measured.size > 0
         return self._learner.follow(span)
 
-    def _add_interval(self, interval: Interval, stuck: StuckDetector) -> None:
+    def _add_interval(self, interval: Interval, stuck: Verdict) -> None:
         """Let the learner have an interval, unless a sensor was stuck in it.
 
         Nothing is learned in a dropout, and its energy must have no holes.
@@ -686,7 +685,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             trust={name: p.trust for name, p in parameters.items()},
             seen=self._seen.counts(),
             band_coverage={kind.value: band.coverage for kind, band in self._bands.items()},
-            stuck=self._stuck.detected,
+            stuck=self._stuck.verdict.detected,
             lag=self._aligner.now.lag,
             shift=self._aligner.shift_ns / NANOSECONDS,
         )

@@ -8,13 +8,13 @@ speeds that leap. A speed that leaps counts again once a second reading confirms
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.core.signals.block import Block, Rows, impossible
+from evpinn_ros.core.signals.block import Block, impossible
 from evpinn_ros.core.signals.kinematics import LEAST_LEAP
 from evpinn_ros.core.signals.readings import (
     MAX_CURRENT,
@@ -42,7 +42,6 @@ SENTINELS = frozenset(
     for integer in ((1 << bits) - 1, 1 << (bits - 1))
     for resolution in (1.0, 0.1, 0.01, 0.001)
 )
-SENTINEL_THOUSANDTHS = np.rint(1000.0 * np.array(sorted(SENTINELS)))
 HARDEST = 10.0  # m/s^2, of braking on a dry road; what is beyond waits for a second reading
 SPEED_UNITS = (1.0, 3.6, 3600.0 / 1609.344)  # of a bus: m/s, km/h, mph
 LEAST_SENTINEL = 100.0  # A; smaller currents, and smaller changes of it, are measured
@@ -111,44 +110,22 @@ class Admission:
             for reason, wrong in impossible(kind, rows):
                 self.refused[reason] += int(wrong.sum())
                 counts[wrong] = False
-            if kind in (SpeedReading, BatteryReading):
-                possible = np.flatnonzero(counts)
-                ask = self._ask_speeds if kind is SpeedReading else self._ask_batteries
-                for index, reason in ask(rows.where(possible)):
-                    self.refused[reason] += 1
-                    counts[possible[index]] = False
+            if kind is SpeedReading:
+                self._refuse(counts, self._why_not_speed, rows.stamps, rows.values[0])
+            elif kind is BatteryReading:
+                self._refuse(counts, self._why_not_battery, *rows.values[:2])
             chosen[kind] = counts
         return block.only(chosen)
 
-    def _ask_speeds(self, rows: Rows) -> Iterator[tuple[int, str]]:
-        """Speeds that are refused, and why; a speed near the one before needs no asking."""
-        leaps = _leaps(rows.stamps[:-1], rows.values[0, :-1], rows.stamps[1:], rows.values[0, 1:])
-        speeds = list(zip(rows.stamps.tolist(), rows.values[0].tolist(), strict=True))
-        after = 0  # one past the last that was asked
-        for index in (0, *(np.flatnonzero(leaps) + 1).tolist()):
-            if index < after:
-                continue
-            if index > after:
-                self._speed, self._leapt = speeds[index - 1], None
-            for after in range(index + 1, len(speeds) + 1):
-                if (reason := self._why_not_speed(*speeds[after - 1])) is None:
-                    break
-                yield after - 1, reason
-        if after < len(speeds):
-            self._speed, self._leapt = speeds[-1], None
-
-    def _ask_batteries(self, rows: Rows) -> Iterator[tuple[int, str]]:
-        """Battery readings that are refused, and why; most need no asking."""
-        voltage, current = rows.values[:2]
-        asked = ~self.limits.allow(voltage, current) | _may_be_sentinel(voltage)
-        asked |= _may_be_sentinel(current) & (np.abs(current) > LEAST_SENTINEL)
-        after = 0
-        for index in np.flatnonzero(asked).tolist():
-            self._know_battery(voltage[after:index], current[after:index])
-            if (reason := self._why_not_battery(*rows.values[:2, index].tolist())) is not None:
-                yield index, reason
-            after = index + 1
-        self._know_battery(voltage[after:], current[after:])
+    def _refuse(
+        self, counts: np.ndarray, why_not: Callable[..., str | None], *columns: np.ndarray
+    ) -> None:
+        """Take rows for which there is a reason out of those that count, shape (n,)."""
+        rows = [*zip(*(column.tolist() for column in columns), strict=True)]
+        for index in np.flatnonzero(counts).tolist():
+            if (reason := why_not(*rows[index])) is not None:
+                self.refused[reason] += 1
+                counts[index] = False
 
     def _why_not_speed(self, stamp_ns: int, speed: float) -> str | None:
         near = [self._speed, self._leapt]
@@ -177,13 +154,8 @@ class Admission:
         self._current = self._current if math.isnan(current) else current
         return None
 
-    def _know_battery(self, voltage: np.ndarray, current: np.ndarray) -> None:
-        """Compare the next readings with the last that are known of these."""
-        self._voltage = [self._voltage, *voltage[~np.isnan(voltage)][-1:].tolist()][-1]
-        self._current = [self._current, *current[~np.isnan(current)][-1:].tolist()][-1]
 
-
-def _leaps(before_ns: Any, before: Any, after_ns: Any, after: Any) -> Any:
+def _leaps(before_ns: int, before: float, after_ns: int, after: float) -> bool:
     """True if speed changed by more than tyres can between two readings, of stamps in ns."""
     seconds = abs(after_ns - before_ns) / NANOSECONDS
     return abs(after - before) > LEAST_LEAP + HARDEST * seconds
@@ -193,11 +165,3 @@ def _sentinel(value: float) -> str | None:
     """The value as it is written, if a bus sends it in place of a measurement."""
     rounded = round(value, 3)
     return f"{rounded:g}" if abs(value - rounded) < 1e-6 and abs(rounded) in SENTINELS else None
-
-
-def _may_be_sentinel(values: np.ndarray) -> np.ndarray:
-    """True where `_sentinel` is to be asked, shape (n,)."""
-    thousandths = np.abs(values) * 1000.0
-    whole = np.rint(thousandths)
-    near = np.abs(thousandths - whole) < 0.01
-    return np.asarray(near & np.isin(whole, SENTINEL_THOUSANDTHS))

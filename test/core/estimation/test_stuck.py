@@ -12,7 +12,7 @@ from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.estimator import OnlineEstimator
 from evpinn_ros.core.signals.detector import BATTERY_STUCK, SPEED_REPEATS, SPEED_STUCK
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
-from evpinn_ros.core.signals.stuck import StuckDetector
+from evpinn_ros.core.signals.stuck import Verdict
 from evpinn_ros.core.vehicle.files import load_vehicle
 
 FROM, UNTIL = 5.0, 20.0  # s
@@ -113,7 +113,7 @@ def test_a_speed_that_hangs_leaves_no_hole_in_the_energy_of_a_silent_battery(
     for doubts in (True, False):
         estimator = new_estimator()
         if not doubts:
-            monkeypatch.setattr(StuckDetector, "why_not", lambda *_: None)
+            monkeypatch.setattr(Verdict, "why_not", lambda *_: None)
         for reading in readings:
             now = (reading.stamp_ns - readings[0].stamp_ns) / NANOSECONDS
             if (isinstance(reading, BatteryReading) and now > 2.0) or now > 80.0:

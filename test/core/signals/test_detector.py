@@ -32,7 +32,7 @@ def test_a_limit_is_none_of_its_own():
     "detector",
     [
         *(AltitudeDetector(), ChargeDetector(), GradeDetector()),
-        *(Payload(), SignDetector(), StuckDetector()),
+        *(Payload(), SignDetector(), StuckDetector().verdict),
     ],
 )
 def test_of_nothing_nothing_is_learned(detector: Detector):

@@ -1,6 +1,5 @@
 """A sensor that hangs at one value, told from a car that does."""
 
-from itertools import accumulate
 import math
 
 from hypothesis import given
@@ -20,14 +19,14 @@ def driven(seconds, speed, current, detector=None, begin=0.0) -> StuckDetector:
     for step in range(round(10 * seconds)):
         now = begin + step / 10
         stamp_ns = round(now * NANOSECONDS)
-        detector = detector.after(BatteryReading(stamp_ns, 350.0, current(now)))
-        detector = detector.after(SpeedReading(stamp_ns, speed(now)))
+        detector.follow(Block.of([BatteryReading(stamp_ns, 350.0, current(now))]))
+        detector.follow(Block.of([SpeedReading(stamp_ns, speed(now))]))
     return detector
 
 
 def judge(seconds, speed, current):
     """The verdict after such a drive."""
-    return driven(seconds, speed, current).detected
+    return driven(seconds, speed, current).verdict.detected
 
 
 def waves(mean, size):
@@ -38,15 +37,15 @@ def test_a_current_that_is_zero_all_the_time_whatever_the_voltage():
     detector = StuckDetector()
     for step in range(200):
         stamp_ns, now = step * NANOSECONDS // 10, step / 10
-        detector = detector.after(BatteryReading(stamp_ns, 350.0 - now % 3, 0.0))
-        detector = detector.after(SpeedReading(stamp_ns, waves(15, 8)(now)))
-    assert detector.detected == BATTERY_STUCK
+        detector.follow(Block.of([BatteryReading(stamp_ns, 350.0 - now % 3, 0.0)]))
+        detector.follow(Block.of([SpeedReading(stamp_ns, waves(15, 8)(now))]))
+    assert detector.verdict.detected == BATTERY_STUCK
 
 
 def test_a_value_that_moves_again_clears_the_verdict():
     hung = driven(20, lambda _: 15.0, waves(-50, 120))
-    assert hung.detected == SPEED_STUCK
-    assert driven(1, waves(15, 8), waves(-50, 120), hung, begin=20.0).detected is None
+    assert hung.verdict.detected == SPEED_STUCK
+    assert driven(1, waves(15, 8), waves(-50, 120), hung, begin=20.0).verdict.detected is None
 
 
 def _coarse_until_it_hangs(t):
@@ -97,9 +96,9 @@ def test_a_cruise_in_whole_numbers_on_a_hilly_road_spoils_nothing(unit, period, 
         speed = 30.0 + 4.0 * math.sin(now / wave)
         stamp_ns = round(now * NANOSECONDS)
         current = -70.0 - 60.0 * math.sin(now / 2.5)
-        detector = detector.after(BatteryReading(stamp_ns, 350.0, current))
-        detector = detector.after(SpeedReading(stamp_ns, round(speed / unit) * unit))
-        assert not detector.spoilt
+        detector.follow(Block.of([BatteryReading(stamp_ns, 350.0, current)]))
+        detector.follow(Block.of([SpeedReading(stamp_ns, round(speed / unit) * unit)]))
+        assert not detector.verdict.spoilt
 
 
 def _held_after_braking(t):
@@ -122,18 +121,18 @@ def test_a_speed_that_goes_on_as_it_was_did_not_hang(speed):
 
     for second in range(44):
         detector = driven(1.0, speed, current, detector, begin=float(second))
-        assert detector.why_not(0, second * NANOSECONDS) is None
+        assert detector.verdict.why_not(0, second * NANOSECONDS) is None
 
 
 def test_what_lies_behind_is_spoilt_from_before_the_value_hung_until_it_moved():
     """Half a second on both sides; long before it is suspected, and once it is no longer."""
     detector = driven(10, waves(15, 8), waves(-50, 20))
     detector = driven(1.5, lambda _: 15.0, waves(-50, 20), detector, begin=10.0)
-    assert detector.detected is None
+    assert detector.verdict.detected is None
     detector = driven(5, waves(15, 8), waves(-50, 20), detector, begin=11.5)
 
     def why_not(*span):
-        return detector.why_not(*(round(seconds * NANOSECONDS) for seconds in span))
+        return detector.verdict.why_not(*(round(seconds * NANOSECONDS) for seconds in span))
 
     assert why_not(9.6, 9.6) == why_not(10.5, 10.5) == why_not(11.8, 11.8) == SPEED_REPEATS
     assert why_not(8.0, 9.6) == why_not(11.8, 13.0) == why_not(9.0, 12.0) == SPEED_REPEATS
@@ -145,8 +144,8 @@ def test_any_readings_are_survived(items):
     detector = StuckDetector()
     for stamp_ns, first, second, battery in items:
         reading = BatteryReading(stamp_ns, first, second) if battery else None
-        detector = detector.after(reading or SpeedReading(stamp_ns, first))
-    assert detector.detected in (None, SPEED_STUCK, BATTERY_STUCK)
+        detector.follow(Block.of([reading or SpeedReading(stamp_ns, first)]))
+    assert detector.verdict.detected in (None, SPEED_STUCK, BATTERY_STUCK)
 
 
 @given(st.integers(0, 10_000), st.integers(1, 80), st.sampled_from([0.0, 0.2, 1.0]))
@@ -166,19 +165,15 @@ def test_a_block_is_judged_as_its_readings_one_by_one(seed, size, coarse):
             current = -30.0 if seed % 2 else 0.0
         readings.append(BatteryReading(stamp_ns, 350.0, current))
         readings.append(SpeedReading(stamp_ns + 1, speed))
-    alone = [*accumulate(readings, StuckDetector.after, initial=StuckDetector())]
-    detector, first = StuckDetector(), 0
+    alone, detector, first = StuckDetector(), StuckDetector(), 0
+    expected = [alone.verdict]
+    for reading in readings:
+        alone.follow(Block.of([reading]))
+        expected.append(alone.verdict)
     while first < len(readings):
-        block = Block.of(readings[first : first + size])
-        course = detector.course(block)
-        for place in range(len(block)):
-            expected = alone[first + place + 1]
-            judged = course.at(readings[first + place].stamp_ns)
-            if course.stamps:
-                assert (judged.detected, judged.spoilt) == (expected.detected, expected.spoilt)
-            else:  # nothing is suspected in it
-                assert expected.detected is None and expected.spoilt == detector.spoilt
-        detector, first = course.last, first + len(block)
-        same = alone[first]
-        assert detector.speed[:8] == same.speed[:8] and detector.battery[:8] == same.battery[:8]
-        assert detector.step == same.step
+        part = readings[first : first + size]
+        course = detector.follow(Block.of(part))
+        for place, reading in enumerate(part, first + 1):
+            assert course.at(reading.stamp_ns) == expected[place]
+        first += len(part)
+    assert detector.verdict == alone.verdict
