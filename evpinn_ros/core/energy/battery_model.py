@@ -3,12 +3,11 @@
 What a kilowatt-hour takes of the state of charge is not one number: a full battery has a higher
 voltage than an empty one, and its resistance costs the more the harder it is driven. Charge in
 ampere hours is one number (61.2 to 62.7 Ah on eleven trips of an i3, whose energy per percent
-differs by 11 %). So the end of a plan is found by integrating
+differs by 11 %). So the charge along a plan follows
 
     dq/dt = -I / Q,    P = V I,    V = U(q) - R I
 
-with the Runge-Kutta step of the paper, whose slopes depend on the state here, and so are more than
-a quadrature of P. U is a straight line in q; it and R are learned from voltage, current and state
+in closed form, for U is a straight line in q. It and R are learned from voltage, current and state
 of charge by a Kalman filter, Q as the capacity is (`energy.charge`). A polarisation behind a
 second resistance was tried and brought nothing at the end of a plan.
 """
@@ -25,7 +24,6 @@ from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.core.energy.forecast import Forecast
 from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral
-from evpinn_ros.core.energy.rknn import Slope, energy_step, slopes
 from evpinn_ros.core.signals.readings import (
     MAX_CURRENT,
     MAX_VOLTAGE,
@@ -47,7 +45,6 @@ SLOPE_SHARE = 0.15  # of U, from empty to full: typical of lithium-ion cells
 RESISTANCE_SHARE = 0.013  # of U / (current that empties the battery in an hour), typical too
 USUAL_CHARGE = 3600 * 100.0  # A s, where the vehicle file has no capacity
 CHARGE_LIMITS = (3600.0, 3.6e7)  # A s
-STEPS, LONGEST_STEP = 200, 60.0  # of a forecast; s
 MOST_SAVED, MOST_SAMPLES = 1e6, 1e15
 
 
@@ -205,7 +202,7 @@ class BatteryModel(Saveable[SavedBattery]):
         """
         if charge.known and self.known:
             full = self._gauge.capacity
-            left = np.interp(result.time, *self._path(result, charge.value))
+            left = self._left(result, charge.value)
             own = result.sigma / (full.value * np.maximum(self._line(left), MIN_VOLTAGE))
         else:
             full = capacity
@@ -214,25 +211,18 @@ class BatteryModel(Saveable[SavedBattery]):
         lost = (charge.value - left) * full.sigma / full.value
         return np.stack([left, np.sqrt(charge.sigma**2 + own**2 + lost**2)])
 
-    def _path(self, result: Forecast, charge: float) -> tuple[np.ndarray, list[float]]:
-        """Times of steps through a plan, s, and the state of charge at each, from `charge` on."""
-        start, end = float(result.time[0]), float(result.time[-1])
-        count = max(STEPS, math.ceil((end - start) / LONGEST_STEP))
-        grid, dt = np.linspace(start, end, count + 1), (end - start) / count
-        path = [charge]
-        for power in np.diff(np.interp(grid, result.time, result.energy)) / dt:
-            networks = self._networks(path[-1])
-            step = energy_step(slopes(networks, power, power, power, dt, path[-1]), dt)
-            path.append(path[-1] + float(step))
-        return grid, path
+    def _left(self, result: Forecast, charge: float) -> np.ndarray:
+        """State of charge at each point of a plan, shape (n,), `charge` at its begin.
 
-    def _networks(self, charge: float) -> tuple[Slope, Slope, Slope, Slope]:
-        """The slopes of eq. 26-29, of a state: N1 to N4 are dq/dt, 1/s, N1 at the start."""
-
-        def slope(power: float, left: float = charge) -> float:
-            return -self._drawn(power, left) / self._gauge.capacity.value
-
-        return slope, slope, slope, slope
+        While the charge falls by d the cells give Q (U d - slope d^2 / 2), of which R takes R I^2
+        with the mean power between two points.
+        """
+        steps, energy = np.diff(result.time), np.diff(result.energy)
+        volts, slope = self._open_voltage(charge), float(self._state[1])
+        heat = self._resistance() * energy**2 / np.maximum(steps, 1e-9) / volts**2
+        taken = np.append(0.0, np.cumsum(energy + heat)) / self._gauge.capacity.value
+        root = np.sqrt(np.maximum(volts**2 - 2.0 * slope * taken, 0.0))
+        return np.asarray(charge - 2.0 * taken / (volts + root))
 
     def _open_voltage(self, charge: float) -> float:
         return max(float(self._line(charge)), MIN_VOLTAGE)
