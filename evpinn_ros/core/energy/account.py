@@ -26,7 +26,6 @@ from evpinn_ros.core.energy.meter import (
     EnergyMeter,
     EnergyState,
     MeterCourse,
-    PowerBlock,
     SavedMeter,
 )
 from evpinn_ros.core.energy.plan import Plan
@@ -40,6 +39,7 @@ from evpinn_ros.core.energy.remaining import (
     remaining,
 )
 from evpinn_ros.core.energy.trip import WINDOWS, SavedTrip, Stretch, TripLog
+from evpinn_ros.core.estimation.outputs import PowerRows
 from evpinn_ros.core.signals.admission import ANY_CAR, MAX_POWER, Admission, CarLimits
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
@@ -319,8 +319,8 @@ class EnergyAccount(Saveable[SavedAccount]):
         energy_sigma: np.ndarray,
         energy: np.ndarray,
     ) -> None:
-        """Take n predictions (see `PowerBlock`)."""
-        rest = energy_sigma, energy
+        """Take n predictions (see `PowerRows`)."""
+        rest = energy, energy_sigma
         self._add_powers(_Kind.PREDICTED, MAX_POWER, stamps, power, sigma, *rest)
 
     def _add_powers(
@@ -369,7 +369,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _count(self, until_ns: int) -> list[_Correction]:
         """Count what waits up to a stamp; returns what was corrected."""
         predicted, measured = (
-            PowerBlock(stamps, *values)
+            PowerRows(stamps, stamps, *values)
             for stamps, values in (
                 self._waiting.taken(kind, until_ns) for kind in (_Kind.PREDICTED, _Kind.MEASURED)
             )

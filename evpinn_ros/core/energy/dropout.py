@@ -47,14 +47,12 @@ class Dropout(NamedTuple):
         end_ns: stamp of the battery's first word after it.
         duration: s.
         bridge: what the prediction says of it.
-        short_sigma: 1-sigma of its energy by errors of power that pass, J.
-        sigma: 1-sigma of its energy with the error that lasts and what is unknown too, J.
+        sigma: 1-sigma of its energy, with what is unknown, J.
     """
 
     end_ns: int
     duration: float
     bridge: Bridge
-    short_sigma: float
     sigma: float
 
     @property

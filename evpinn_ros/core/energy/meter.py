@@ -34,6 +34,7 @@ from evpinn_ros.core.energy.quadrature import (
 )
 from evpinn_ros.core.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE, CorrelatedError, sampled
+from evpinn_ros.core.estimation.outputs import NO_POWERS, PowerRows
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
@@ -147,31 +148,6 @@ class SavedMeter:
             raise ValueError(f"rknn is more than {MAX_POWER:g} W all the time")
 
 
-NO_POWERS = np.empty(0, np.int64), *np.empty((4, 0))
-
-
-class PowerBlock(NamedTuple):
-    """Powers in order of stamps, shape (n,) each.
-
-    Attributes:
-        stamp_ns: their moments.
-        power: W.
-        sigma: its 1-sigma, W.
-        energy_sigma: of a prediction 1-sigma of the energy predicted since the battery was last
-            measured, J, where the estimator knows it; else NaN, and it is guessed from `sigma`.
-        energy: that energy, J; NaN where it is the integral of `power`.
-    """
-
-    stamp_ns: np.ndarray
-    power: np.ndarray
-    sigma: np.ndarray
-    energy_sigma: np.ndarray
-    energy: np.ndarray
-
-
-NOTHING = PowerBlock(*NO_POWERS)
-
-
 @dataclass(frozen=True, slots=True)
 class MeterCourse:
     """What a meter had counted along a block.
@@ -202,8 +178,8 @@ class MeterCourse:
         dropped: samples dropped before the block.
     """
 
-    predicted: PowerBlock
-    measured: PowerBlock
+    predicted: PowerRows
+    measured: PowerRows
     integrals: tuple[IntegralCourse, IntegralCourse]
     parts: np.ndarray
     plain: np.ndarray
@@ -418,9 +394,9 @@ class EnergyMeter(Saveable[SavedMeter]):
         dropouts = [*saved.bridged, saved.bridged_sigma**2, saved.lasting_sigma**2]
         nothing = np.zeros(1, np.int64)
         self.course = MeterCourse(
-            NOTHING,
-            NOTHING,
-            (self._predicted.extend(*NO_POWERS[:2]), self._measured.extend(*NO_POWERS[:2])),
+            NO_POWERS,
+            NO_POWERS,
+            (self._predicted.extend(*NO_POWERS[1:3]), self._measured.extend(*NO_POWERS[1:3])),
             parts=np.array([parts]),
             plain=np.array([plain]),
             rknn=np.array([[saved.rknn, math.nan]]),
@@ -440,7 +416,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             dropped=self._predicted.dropped + self._measured.dropped,
         )
 
-    def add(self, predicted: PowerBlock, measured: PowerBlock) -> MeterCourse:
+    def add(self, predicted: PowerRows, measured: PowerRows) -> MeterCourse:
         """Take the powers that follow.
 
         A measurement of time that predictions have bridged is dropped, or it would count twice.
@@ -550,7 +526,7 @@ def _newest(last_ns: np.ndarray, stamps: np.ndarray) -> np.ndarray:
 
 
 def _joined_to_before(
-    course: MeterCourse, predicted: PowerBlock, measured: PowerBlock
+    course: MeterCourse, predicted: PowerRows, measured: PowerRows
 ) -> MeterCourse:
     """The course before a block, without what was saved too long before its first stamp."""
     firsts = np.concatenate((predicted.stamp_ns[:1], measured.stamp_ns[:1]))
@@ -608,7 +584,6 @@ def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCou
             int(stamps[index]),
             float(seconds[index]),
             Bridge(*bridges[index].tolist()),
-            float(short[index]),
             float(sigma[index]),
         )
         for index in np.flatnonzero(long).tolist()

@@ -17,9 +17,15 @@ Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class PowerRows(NamedTuple):
-    """`PowerEstimate` of n moments as columns of shape (n,).
+    """`PowerEstimate` of n moments in their order as columns of shape (n,), NaN where unknown.
 
-    `known_ns` is the stamp of the reading that completed each.
+    Attributes:
+        known_ns: stamp of the reading that completed each.
+        stamp_ns: their moments.
+        power: W.
+        sigma: its 1-sigma, W.
+        energy: predicted since the battery was last measured, J; else the integral of `power`.
+        energy_sigma: its 1-sigma, J; else it is guessed from `sigma`.
     """
 
     known_ns: np.ndarray

@@ -10,7 +10,7 @@ WH = 3600.0
 
 def silence(energy=1000 * WH, sigma=60 * WH, duration=600.0, covered=600.0):
     bridge = Bridge(energy, 0.0, abs(energy), covered)
-    return Dropout(0, duration, bridge, 10 * WH, sigma)
+    return Dropout(0, duration, bridge, sigma)
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,11 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.core.energy.meter import NOTHING, EnergyMeter, Integrator, PowerBlock
+from evpinn_ros.core.energy.meter import EnergyMeter, Integrator
 from evpinn_ros.core.energy.quadrature import MAX_GAP
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE
+from evpinn_ros.core.estimation.outputs import NO_POWERS, PowerRows
 
 RKNN = load_rknn()
 START = 1_700_000_000_000_000_000
@@ -19,6 +20,10 @@ NEVER = range(0)
 SEAM = 1.2e3  # J: the energy of one sample, where measured and predicted energy join
 
 
+def powers_at(stamps, *values):
+    return PowerRows(stamps, stamps, *values)
+
+
 class Fed(EnergyMeter):
     """A meter that is given sample by sample."""
 
@@ -26,11 +31,11 @@ class Fed(EnergyMeter):
 
     def add_measured(self, stamp_ns, power, sigma=math.nan):
         row = (stamp_ns, power, sigma, math.nan, math.nan)
-        self.add(NOTHING, PowerBlock(*(np.array([value]) for value in row)))
+        self.add(NO_POWERS, powers_at(*(np.array([value]) for value in row)))
 
     def add_predicted(self, stamp_ns, power, sigma, energy_sigma=math.nan, energy=math.nan):
-        row = (stamp_ns, power, sigma, energy_sigma, energy)
-        self.add(PowerBlock(*(np.array([value]) for value in row)), NOTHING)
+        row = (stamp_ns, power, sigma, energy, energy_sigma)
+        self.add(powers_at(*(np.array([value]) for value in row)), NO_POWERS)
 
 
 def meter(**settings):
@@ -57,7 +62,7 @@ def drive(
     def block(power, sigma, missing):
         at = ticks[(ticks / 10 <= missing.start) | (ticks / 10 > missing.stop)]
         values = (np.full(len(at), value) for value in (power, sigma, math.nan, math.nan))
-        return PowerBlock(START + at * 100_000_000, *values)
+        return powers_at(START + at * 100_000_000, *values)
 
     powers = block(predicted, sigma, blind), block(measured, measured_sigma, silent)
     for dropout in to.add(*powers).ended:
@@ -105,7 +110,7 @@ def test_a_battery_that_is_slow_is_counted_as_one_that_is_not(slow, cuts):
     for ticks in np.array_split(np.arange(600), cuts):
         told = ticks[ticks % slow == 0]
         blocks = (
-            PowerBlock(stamps[at], powers[at], np.full(len(at), 1.0), *unknown[[at, at]])
+            powers_at(stamps[at], powers[at], np.full(len(at), 1.0), *unknown[[at, at]])
             for at in (ticks, told)
         )
         course = metered.add(*blocks)
@@ -126,7 +131,7 @@ def test_a_dropout_begins_at_the_last_reading_between_two_predictions(cut):
         begin_ns, end_ns = predicted_ns[[max(first - 1, 0), last - 1]]
         told = measured_ns[(measured_ns > begin_ns - (first == 0)) & (measured_ns <= end_ns)]
         blocks = (
-            PowerBlock(at, np.full(len(at), 10e3), *np.full((3, len(at)), math.nan))
+            powers_at(at, np.full(len(at), 10e3), *np.full((3, len(at)), math.nan))
             for at in (predicted_ns[ours], told)
         )
         metered.add(*blocks)
