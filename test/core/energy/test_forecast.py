@@ -19,10 +19,10 @@ from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.identifiable import (
     IDENTIFIABLE_NAMES,
     Identifiable,
-    combined_power,
     prior_identifiable,
 )
 from evpinn_ros.core.vehicle.physics import GRAVITY
+from test.combined import combined_power
 from test.core.energy.cars import CAR, COMBINED, EXACT, FEW, SIGMAS, plain
 
 STEP = 2.0  # s of a leg; a plan of coarser ones has uneven speed

@@ -19,10 +19,11 @@ from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Readin
 from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
-from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
+from evpinn_ros.core.vehicle.identifiable import identifiable
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind, drive_speed
 from evpinn_ros.replays.simulation.simulate import SimulatedDrive, simulate
+from test.combined import combined_power
 
 START = 1_700_000_000 * NANOSECONDS
 RATE = 5  # Hz of the synthetic samples

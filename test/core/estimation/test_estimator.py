@@ -9,7 +9,8 @@ from evpinn_ros.core.estimation.estimator import Activity, Mode
 from evpinn_ros.core.signals.interval import DURATION
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.core.signals.sample import Sample, Samples
-from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
+from evpinn_ros.core.vehicle.identifiable import identifiable
+from test.combined import combined_power
 
 MODES = [Mode.HYBRID, pytest.param(Mode.PAPER, marks=pytest.mark.torch)]
 CUT = 70.0  # s, in motion: from there on the battery is silent

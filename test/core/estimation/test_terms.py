@@ -13,8 +13,9 @@ from evpinn_ros.core.estimation.terms import COUNT, WHOLE, Part, Warmth, coldnes
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.core.vehicle.identifiable import combined_power, prior_identifiable
+from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.core.vehicle.physics import GRAVITY
+from test.combined import combined_power
 
 CAR = load_vehicle("bmw_i3")
 EQUATION = equation_of(CAR)

@@ -2,9 +2,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from evpinn_ros.core.vehicle.identifiable import combined_power, identifiable
+from evpinn_ros.core.vehicle.identifiable import identifiable
 from evpinn_ros.core.vehicle.parameters import Parameters
 from evpinn_ros.core.vehicle.physics import RegenForm, battery_power
+from test.combined import combined_power
 from test.core.vehicle.test_physics import cars
 
 AREA, DENSITY = 2.2, 1.17
