@@ -3,15 +3,16 @@
 Each drive of a car becomes plans of several resolutions with exact mean speeds, times and climbs;
 each is forecast from what the drives before it taught, at the mean temperature of the drive and
 with its loads unknown; where the car reports its heating and cooling, once more with the mean of
-these given. Beside it stand the energy per kilometre of the drives before, the same by mean speed,
-and our forecast that knows nothing of what lies between two points.
+these given. Beside it stand the vehicle file alone (a new car of our own model), the energy per
+kilometre of the drives before, the same by mean speed, and our forecast that knows nothing of what
+lies between two points. Drives of one class of mean speed are scored by themselves too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 import math
 
 import numpy as np
@@ -25,22 +26,32 @@ from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.learner import gate_interval
 from evpinn_ros.core.estimation.terms import Equation
-from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 
-CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun")
+CARS = ("i3", "i3_speed", "e208", "leaf2013", "changchun", "three_wheeler")
 RESOLUTIONS = ("1 s", "10 s", "60 s", "200 m", "500 m", "2000 m", "trip")
-METHODS = ("forecast", "loads given", "even speed", "per km", "per km by speed")
+METHODS = (
+    *("forecast", "loads given", "vehicle file", "even speed"),
+    *("per km", "per km by speed"),
+)
+CLASSES = {
+    "all": (0.0, math.inf),
+    "< 30": (0.0, 30.0),
+    "30-50": (30.0, 50.0),
+    "50-70": (50.0, 70.0),
+    "> 70": (70.0, math.inf),
+}  # km/h that the mean speed of a drive is between
 LEAST_DISTANCE = 1000.0  # m of a drive that is a plan
 SPEED_CLASS = 5.0  # m/s, of consumption by mean speed
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedDrive:
-    """A drive as a plan by one method: J; sigma NaN where the method has none."""
+    """A drive as a plan by one method: km/h and J; sigma NaN where the method has none."""
 
     resolution: str
     method: str
+    speed: float
     forecast: float
     sigma: float
     measured: float
@@ -49,9 +60,10 @@ class PlannedDrive:
 
 @dataclass(frozen=True, slots=True)
 class PlanScore:
-    """Scores of all drives of a car at one resolution by one method, in percent."""
+    """Scores of a car's drives of one class of speed, `CLASSES`, in percent."""
 
     car: str
+    speeds: str
     resolution: str
     method: str
     drives: int
@@ -65,6 +77,7 @@ class PlanScore:
 
 PLAN_COLUMNS = (
     ("car", "{0.car}"),
+    ("km/h", "{0.speeds}"),
     ("plan", "{0.resolution}"),
     ("method", "{0.method}"),
     ("drives", "{0.drives}"),
@@ -81,16 +94,21 @@ def plan_scores(data: str, key: str, seed: int = 0) -> list[PlanScore]:
     car = load_car(data, key)
     rows = list(_planned(car, seed))
     scores = []
-    for resolution in RESOLUTIONS:
-        for method in METHODS:
-            own = [row for row in rows if (row.resolution, row.method) == (resolution, method)]
-            if own:
-                scores.append(_score(key, own))
+    for speeds, resolution, method in product(CLASSES, RESOLUTIONS, METHODS):
+        own = [
+            row
+            for row in rows
+            if (row.resolution, row.method) == (resolution, method)
+            and CLASSES[speeds][0] <= row.speed < CLASSES[speeds][1]
+        ]
+        if own:
+            scores.append(_score(key, speeds, own))
     return scores
 
 
 def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
     learned = LearnedCar.new(Equation(car.vehicle, seed))
+    new = learned.model()
     before: list[tuple[float, float, float]] = []  # energy J, distance m, duration s
     for drive in car.drives:
         intervals = list(intervals_of(car, drive))
@@ -102,7 +120,7 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
             continue
         totals = tuple(driven.sum(0).tolist())
         if before and totals[1] >= LEAST_DISTANCE:
-            yield from forecasts(learned.model(), done, before)
+            yield from forecasts(learned.model(), new, done, before)
         learned = learned.after(intervals)
         before.append((totals[0], totals[1], totals[2]))
 
@@ -115,35 +133,39 @@ def intervals_of(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
 
 
 def forecasts(
-    model: CarModel, done: list[Interval], before: list[tuple[float, float, float]]
+    model: CarModel,
+    new: CarModel,
+    done: list[Interval],
+    before: list[tuple[float, float, float]],
 ) -> Iterator[PlannedDrive]:
     """A drive as plans of all resolutions, by all methods.
 
     Args:
         model: what the drives before taught.
+        new: what the vehicle file says.
         done: intervals of the drive whose energy was measured.
         before: energy, J, distance, m, and duration, s, of each drive before.
     """
     measured = sum(interval.energy for interval in done)
     gross = sum(abs(interval.energy) for interval in done)
+    speed = 3.6 * sum(abs(e.distance) for e in done) / sum(e.duration for e in done)
     weather, loaded = weather_of(done), weather_of(done, loads=True)
-    ways = {"forecast": (model, weather)}
+    ways: dict[str, tuple[CarModel, Weather, bool | None]]
+    ways = {"forecast": (model, weather, None), "vehicle file": (new, weather, None)}
     if loaded.heating is not None:
-        ways["loads given"] = model, loaded
-    none = Unevenness.none()
-    even = replace(none, expected=none.expected + 1e12, squares=0.0)  # it always drove evenly
-    ways["even speed"] = replace(model, unevenness=even), weather
+        ways["loads given"] = model, loaded, None
+    ways["even speed"] = model, weather, True
     for resolution in RESOLUTIONS:
         try:
             plan = plan_of(done, resolution)
         except PlanError:
             continue
-        for method, (car, around) in ways.items():
-            forecast = forecast_plan(plan, PowerModel(car), around)
+        for method, (car, around, steady) in ways.items():
+            forecast = forecast_plan(plan, PowerModel(car), around, steady=steady)
             energy, sigma = float(forecast.energy[-1]), float(forecast.sigma[-1])
-            yield PlannedDrive(resolution, method, energy, sigma, measured, gross)
-        for method, energy in _by_distance(before, done):
-            yield PlannedDrive(resolution, method, energy, math.nan, measured, gross)
+            yield PlannedDrive(resolution, method, speed, energy, sigma, measured, gross)
+    for method, energy in _by_distance(before, done):
+        yield PlannedDrive("trip", method, speed, energy, math.nan, measured, gross)
 
 
 def weather_of(done: list[Interval], *, loads: bool = False) -> Weather:
@@ -249,7 +271,7 @@ class _Steps:
         return np.asarray(np.sqrt(np.maximum(start + square, 0.0)))
 
 
-def _score(car: str, rows: list[PlannedDrive]) -> PlanScore:
+def _score(car: str, speeds: str, rows: list[PlannedDrive]) -> PlanScore:
     error = np.array([row.forecast - row.measured for row in rows])
     measured, gross = (np.array([getattr(row, n) for row in rows]) for n in ("measured", "gross"))
     sigma = np.array([row.sigma for row in rows])
@@ -257,6 +279,7 @@ def _score(car: str, rows: list[PlannedDrive]) -> PlanScore:
     scores = [crps(e, 0.0 if math.isnan(s) else s) for e, s in zip(error, sigma, strict=True)]
     return PlanScore(
         car=car,
+        speeds=speeds,
         resolution=rows[0].resolution,
         method=rows[0].method,
         drives=len(rows),

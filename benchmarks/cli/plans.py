@@ -20,8 +20,9 @@ def plans(
 ) -> None:
     """Forecast recorded trips as plans of several resolutions, and score that.
 
-    Cells: bias / median error in %; share of 90 % intervals that hold the measured energy; their
-    width in % of gross energy. A second table scores the distance to empty along the same drives.
+    Bias, median and mean error in %; share of 90 % intervals that hold the measured energy; their
+    median width in % of gross energy; for all drives and by mean speed. A second table scores the
+    distance to empty along the same drives.
 
     Example: evpinn bench plans $DATA --cars i3,changchun
     """
@@ -37,7 +38,7 @@ def plans(
         for more in output.in_parallel("distance to empty of cars", jobs, empty_scores, tasks):
             roads += more
             keep()
-    show(output.table_of("Plans", rows, PLAN_COLUMNS, left=3), at_least=output.TABLE_WIDTH)
+    show(output.table_of("Plans", rows, PLAN_COLUMNS, left=4), at_least=output.TABLE_WIDTH)
     show(
         output.table_of("Distance to empty", roads, EMPTY_COLUMNS, left=1),
         at_least=output.TABLE_WIDTH,

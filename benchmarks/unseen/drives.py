@@ -150,7 +150,7 @@ FOLDERS = {
     "changchun": Folder("changchun_sedan/trip_*.csv.gz", "generic", truth=CHANGCHUN),
     # The same car on rollers: its road load is known there, and there is neither wind nor slope.
     "changchun_rollers": Folder("changchun_sedan/dyno_*.csv.gz", "generic", truth=CHANGCHUN),
-    "leaf2013": Folder("nissan_leaf_2013_leafspy/*.csv.gz", "nissan_leaf"),
+    "leaf2013": Folder("nissan_leaf_2013_leafspy/*.csv.gz", "nissan_leaf_24_kwh"),
     "three_wheeler": Folder("cargo_three_wheeler/*.csv.gz", "generic"),
     "can_model3": Folder("can/tesla_model3_2019/decoded*.csv", "tesla_model_3_lr"),
     "can_model_s": Folder("can/tesla_model_s_2017/decoded*.csv", "tesla_model_s"),

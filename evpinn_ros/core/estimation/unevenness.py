@@ -4,15 +4,17 @@ A plan whose points lie a minute or a kilometre apart knows mean speeds. A drive
 speeds up and brakes again, turns, waits. What that takes beyond even speed (`estimation.even`) is
 what more is braked, and what more the air takes: two tables per metre, by mean speed and duration
 of a run of legs, of four cars in traffic. A car's own drives are cut into legs of many
-lengths, and for each duration one factor of the tables is learned. That needs no battery, only
-speed. What the car drove long ago counts less, for roads and habits change.
+lengths, and for each duration factors of the tables are learned: one in town, one on country
+roads, one on motorways. That needs no battery, only speed. What the car drove long ago counts
+less, for roads and habits change.
 
 A run shorter than `SHORTEST` has nothing of it: its points show all that matters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 import math
 from typing import Annotated, Any, NamedTuple
 
@@ -25,8 +27,9 @@ from evpinn_ros.core.estimation.terms import Equation
 
 MIDDLES = np.array([2.0, 4.5, 7.5, 10.5, 14.0, 18.0, 22.5, 28.0, 33.0])  # m/s, of nodes
 DURATIONS = np.array([10.0, 30.0, 60.0, 200.0, 600.0, 2000.0])  # s, of nodes
+ROADS = np.array([4.0, 12.0, 24.0])  # m/s, of the nodes of factors: town, country, motorway
 # Means over some 2400 km of an i3 in Munich, an e-208 and a Leaf on country roads, and a sedan in
-# Changchun, smoothed.
+# Changchun, smoothed; above 20 m/s less by as much as their sum was too high.
 BRAKED = np.array(
     [
         [0.200, 0.220, 0.235, 0.245, 0.245, 0.245],
@@ -35,9 +38,9 @@ BRAKED = np.array(
         [0.120, 0.150, 0.160, 0.165, 0.165, 0.170],
         [0.085, 0.110, 0.130, 0.130, 0.125, 0.125],
         [0.075, 0.100, 0.112, 0.115, 0.105, 0.115],
-        [0.065, 0.072, 0.078, 0.088, 0.092, 0.095],
-        [0.050, 0.052, 0.054, 0.060, 0.070, 0.075],
-        [0.030, 0.032, 0.034, 0.038, 0.044, 0.060],
+        [0.052, 0.058, 0.062, 0.070, 0.074, 0.076],
+        [0.030, 0.031, 0.032, 0.036, 0.042, 0.045],
+        [0.018, 0.019, 0.020, 0.023, 0.026, 0.036],
     ]
 )  # J/kg that more is braked in a metre, beside what a run carries on to the next
 AIR = np.array(
@@ -48,9 +51,9 @@ AIR = np.array(
         [8.0, 18.0, 34.0, 75.0, 130.0, 162.0],
         [5.0, 14.0, 32.0, 80.0, 148.0, 190.0],
         [5.0, 13.0, 34.0, 72.0, 118.0, 220.0],
-        [4.0, 10.0, 30.0, 80.0, 180.0, 240.0],
-        [3.0, 7.0, 20.0, 55.0, 130.0, 200.0],
-        [1.0, 4.0, 10.0, 20.0, 60.0, 150.0],
+        [3.0, 8.0, 24.0, 64.0, 144.0, 192.0],
+        [2.0, 4.0, 12.0, 33.0, 78.0, 120.0],
+        [1.0, 2.0, 6.0, 12.0, 36.0, 90.0],
     ]
 )  # m^2/s^2 more of the integral of v^3 in a metre
 SHORTEST = 2.0  # s; over so many, up to the first of `DURATIONS`, it grows from nothing
@@ -58,7 +61,7 @@ USUAL_LEG = 60.0  # s, of legs that belong to no trip
 LEG_SECONDS = (10.0, 30.0, 60.0, 200.0, 600.0, 1200.0)  # by which drives are cut to learn
 LEG_METRES = (100.0, 200.0, 500.0, 2000.0, 5000.0)
 JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
-PRIOR_METRES = 10e3  # that the tables count for at each duration
+PRIOR_METRES = 10e3  # that the tables count for at each factor
 MEMORY_METRES = 150e3  # m of driving within which what was before is forgotten to a third
 PRIOR_SHARE, PRIOR_DRIVES = 0.25, 4.0  # scatter before any drive, and how many it counts for
 OF_LEGS = 2.8  # variance that legs have of their own, of their energy times that of a stop
@@ -69,6 +72,7 @@ MOST_DRIVES = 1.0 / (1.0 - SPREAD_KEPT) + 1.0  # that these sums can hold
 MOST_SQUARES = MOST_DRIVES * MOST_RATIO
 JUDGED_DRIVE_METRES = 1000.0  # m of a drive that scatter is judged by
 MOST_FACTOR = 20.0  # of the tables
+FACTORS = (ROADS.size, DURATIONS.size)  # shape of a car's factors
 # States that it has energy of.
 UNEVEN_STATES = [State.DRAG_AREA_OVER_ETA, State.MASS_OVER_ETA, State.REGEN_DELTA]
 
@@ -93,24 +97,28 @@ class Unevenness:
 
     Attributes:
         metres: driven in legs of a minute about each speed of `MIDDLES`, shape (9,).
-        expected: energy of legs about each of `DURATIONS` by the tables, as m of their mean over
-            all speeds, so that it is of a car of any size, shape (6,).
-        driven: the same of what it was.
+        by_tables: energy of legs about each of `ROADS` and `DURATIONS` by the tables, as m of
+            their mean over all speeds, so that it is of a car of any size, shape (3, 6).
+        by_drives: the same of what it was.
         squares: sum over drives of squared energy by which they strayed from what was expected,
             over the squared size of that (`size_of`).
         drives: how many these are.
     """
 
     metres: Annotated[np.ndarray, Range(0.0, 1e12, shape=MIDDLES.shape)]
-    expected: Annotated[np.ndarray, Range(0.0, 1e12, shape=DURATIONS.shape)]
-    driven: Annotated[np.ndarray, Range(-1e12, 1e12, shape=DURATIONS.shape)]
+    by_tables: Annotated[np.ndarray, Range(0.0, 1e12, shape=FACTORS)] = field(
+        default_factory=partial(np.zeros, FACTORS)
+    )
+    by_drives: Annotated[np.ndarray, Range(-1e12, 1e12, shape=FACTORS)] = field(
+        default_factory=partial(np.zeros, FACTORS)
+    )
     squares: Annotated[float, Range(0.0, MOST_SQUARES)] = PRIOR_SHARE**2 * PRIOR_DRIVES
     drives: Annotated[float, Range(1.0, MOST_DRIVES)] = PRIOR_DRIVES
 
     @classmethod
     def none(cls) -> Unevenness:
         """Factors of a car whose own drives have shown nothing."""
-        return cls(np.zeros(MIDDLES.shape), np.zeros(DURATIONS.shape), np.zeros(DURATIONS.shape))
+        return cls(np.zeros(MIDDLES.shape))
 
     @property
     def share(self) -> float:
@@ -124,12 +132,12 @@ class Unevenness:
         return self
 
     def factors(self, equation: Equation) -> np.ndarray:
-        """Factors of the tables by duration, shape (6,).
+        """Factors of the tables by road and duration, shape (3, 6).
 
         Before it has driven a car drives as traffic does; a vehicle that is in none, evenly.
         """
         prior = PRIOR_METRES * equation.vehicle.in_traffic
-        factors = (prior + self.driven) / (PRIOR_METRES + self.expected)
+        factors = (prior + self.by_drives) / (PRIOR_METRES + self.by_tables)
         return np.asarray(np.clip(factors, 0.0, MOST_FACTOR))
 
     def rows(self, equation: Equation, runs: Runs) -> np.ndarray:
@@ -143,22 +151,23 @@ class Unevenness:
         energy = _moving(equation, drive) @ mean
         judged = self._judged(equation, mean, drive, float(energy.sum()))
         kept = math.exp(-float(np.abs(drive.distance).sum()) / MEMORY_METRES)
-        metres, expected, driven = (
-            kept * column for column in (self.metres, self.expected, self.driven)
+        metres, by_tables, by_drives = (
+            kept * column for column in (self.metres, self.by_tables, self.by_drives)
         )
         unit = (_per_metre(equation, equation.vehicle.air_density) @ mean[UNEVEN_STATES]).mean(0)
         owners = [_cut(drive.duration, seconds) for seconds in LEG_SECONDS]
         owners += [_cut(np.abs(drive.distance), length) for length in LEG_METRES]
         for owner in (*owners, np.zeros(drive.duration.size, np.int64)):
             runs, more = _beyond(equation, mean, drive, owner, energy)
-            usual = _rows(equation, runs, np.ones(DURATIONS.shape)) @ mean[UNEVEN_STATES]
+            usual = _rows(equation, runs, np.ones(FACTORS)) @ mean[UNEVEN_STATES]
             for node, share in _between(np.log(runs.duration), np.log(DURATIONS)):
-                np.add.at(expected, node, share * usual / unit[node])
-                np.add.at(driven, node, share * more / unit[node])
+                for road, other in _between(runs.distance / runs.duration, ROADS):
+                    np.add.at(by_tables, (road, node), share * other * usual / unit[node])
+                    np.add.at(by_drives, (road, node), share * other * more / unit[node])
         minutes = drive.legs(_cut(drive.duration, USUAL_LEG))
         for node, share in _between(np.abs(minutes.distance) / minutes.duration, MIDDLES):
             np.add.at(metres, node, share * np.abs(minutes.distance))
-        return replace(judged, metres=metres, expected=expected, driven=driven)
+        return replace(judged, metres=metres, by_tables=by_tables, by_drives=by_drives)
 
     def _judged(
         self, equation: Equation, mean: np.ndarray, drive: Path, energy: float
@@ -211,10 +220,11 @@ def size_of(energy: Any, by_stops: Any) -> Any:
 
 
 def _rows(equation: Equation, runs: Runs, factors: np.ndarray) -> np.ndarray:
-    """Energy of runs by the tables times factors by duration, J per unit, shape (n, 3)."""
+    """Energy of runs by the tables times factors, (3, 6), J per unit, shape (n, 3)."""
     grown = np.clip((runs.duration - SHORTEST) / (DURATIONS[0] - SHORTEST), 0.0, 1.0)
     speeds = _between(runs.distance / runs.duration, MIDDLES)
-    table = _per_metre(equation, 1.0) * factors[:, None]
+    between = sum(share[:, None] * factors[road] for road, share in _between(MIDDLES, ROADS))
+    table = _per_metre(equation, 1.0) * np.asarray(between)[..., None]
     rows = np.zeros((len(grown), len(UNEVEN_STATES)))
     for duration, share in _between(np.log(runs.duration), np.log(DURATIONS)):
         for speed, other in speeds:

@@ -9,7 +9,6 @@ from evpinn_ros.core.estimation.even import Path, even_course
 from evpinn_ros.core.estimation.states import PHYSICS, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.estimation.unevenness import (
-    DURATIONS,
     OF_LEGS,
     PRIOR_SHARE,
     UNEVEN_STATES,
@@ -98,12 +97,22 @@ def test_it_begins_at_two_seconds_and_grows_with_the_duration_of_a_run():
     assert energy[2:4] == pytest.approx([0.25 * energy[-1], 0.5 * energy[-1]])
 
 
+def test_what_is_learned_in_town_says_nothing_of_motorways():
+    """A sedan that is uneven in town and even on motorways: each has factors of its own."""
+    town_alone = Unevenness.none().after(EQUATION, EQUATION.mean, town(0))
+    both = town_alone.after(EQUATION, EQUATION.mean, path_of(np.full(5001, 30.0)))
+    in_town, on_motorways = (uneven.factors(EQUATION)[[0, -1]] for uneven in (town_alone, both))
+    assert np.abs(in_town[0] - 1.0).max() > 0.05
+    assert in_town[1, -1] == 1.0 and on_motorways[1, -1] < 0.05  # one run of 83 minutes
+    assert on_motorways[0] == pytest.approx(in_town[0], abs=0.05)
+
+
 def test_a_vehicle_in_no_traffic_drives_evenly_until_it_has_shown_otherwise():
     robot = replace(EQUATION.vehicle, nominal_speed=1.0)
     assert not robot.in_traffic
     equation, fresh = equation_of(robot), Unevenness.none()
     assert not fresh.factors(equation).any()
-    assert fresh.factors(EQUATION).tolist() == [1.0] * len(DURATIONS)
+    assert (fresh.factors(EQUATION) == 1.0).all()
     assert fresh.after(equation, EQUATION.mean, town(0)).factors(equation).max() > 0.1
 
 
