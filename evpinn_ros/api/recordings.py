@@ -90,7 +90,8 @@ def replay(
         elevation=elevation,
     ) as (car_replay, logs):
         if len(logs) > 1:
-            raise InputError(f"{drive}: {len(logs)} recordings, for ev.replay_trips")
+            each = f"ev.replay_trips({str(drive)!r}) replays each"
+            raise InputError(f"{drive}: {len(logs)} recordings; {each}")
         ((whole,), _) = split(logs[0], whole=True)
         return _result(car_replay, whole)
 

@@ -320,11 +320,13 @@ def _write(
     if not car.done:
         return True
     state, metrics, report = files
-    documents = [result.metrics for result in car.done]
-    together = several or len(documents) > 1
+    together = several or len(car.done) > 1
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
         (state, car.write_state),  # first, for it cannot be made again
-        (metrics, lambda path: write_json(path, documents if together else documents[0])),
+        (
+            metrics,
+            lambda path: write_json(path, car.metrics() if together else car.done[0].metrics),
+        ),
         (report, lambda path: _write_report(path, car, units)),
     ]
     problems = 0

@@ -26,7 +26,8 @@ SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
 LONGEST_PAIR = 2.5  # s between a power and those beside it that tell its sign
 STRONG = 0.3  # of most of what flows back: more than noise
 MIRRORED = 0.4  # share by which a power without its sign differs from those beside it
-LEAST_LOST, LOST = 3, 0.05  # powers without their sign between those with it, and their share
+LEAST_LOST = 3  # powers that tell anything
+LEAST_LONE, LONE = 2, 0.035  # powers without their sign between those with it, and their share
 LEAST_BRAKED, BRAKED = 10, 0.12  # s of hard braking, and their share
 LEAST_CLIPPED, CLIPPED = 10, 0.01  # values at the largest one, and their share
 BEYOND = 1.1  # of the largest power: what accelerating takes in the mean where it is clipped
@@ -157,7 +158,7 @@ def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
     lone = smooth & (back[:-2] == back[2:]) & (back[1:-1] != back[2:])
     smooth &= back[:-2] | back[1:-1] | back[2:]
     # A rider may brake for a moment alone: some have to be positive between negative ones.
-    is_lost = (lone & back[2:]).sum() >= LEAST_LOST and lone.sum() >= LOST * smooth.sum()
+    is_lost = (lone & back[2:]).sum() >= max(LEAST_LONE, LONE * smooth.sum())
     if is_lost or _mirrored(drawn, speed):
         yield (
             f"while the car brakes, some numbers of {of} are of the size that flows back, but "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 import math
@@ -19,6 +19,7 @@ from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import DRIVE_START_NS, NANOSECONDS
 from evpinn_ros.logs.batch import Batch, regrouped
+from evpinn_ros.logs.bursts import come_in_bursts, join, joined
 from evpinn_ros.logs.cars import table_of_car
 from evpinn_ros.logs.clock import LAST_TIME_NS, NONE, Clock, Order
 from evpinn_ros.logs.clock_choice import ASSUMED_UNIT, RELATIVE_BELOW_S, clocks_of
@@ -217,6 +218,8 @@ class TableDrive(Source):
             notes.append("speed: all numbers are negative; their size counts")
         if self._engine is not None:
             notes.append("rows in which the engine turns are not used")
+        if self._in_bursts and self._long is None:
+            notes.append("rows that were written at once are one reading, as told last")
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
@@ -343,6 +346,8 @@ class TableDrive(Source):
                 self.dropped["voltage_stands_still"] += int(np.isfinite(values["voltage"]).sum())
                 values["voltage"][:] = math.nan
             rows = order.sorted(stamps, np.flatnonzero(there & ~late))
+            if self._in_bursts:
+                rows = join(stamps, values, rows)
             held.drop_repeats(stamps, values, rows)
             self._standing.drop(stamps, values, rows)
             yield maker.block(stamps, values, rows)
@@ -454,13 +459,11 @@ class TableDrive(Source):
         times = _seconds(clock.running().add(stamps))
         beside = {"power": self._beside} if self._beside else {}
         used = {name: self._with_what_flows_back(column) for name, column in used.items()}
-        signals = measured_alone(
-            {name: self._signal(column, times) for name, column in {**used, **beside}.items()}
-        )
+        signals = self._signals({**used, **beside}, times)
         speed = used["speed"]
         self._backwards = speed.why != "as given" and is_backwards(signals["speed"])
         if self._backwards:
-            signals["speed"] = Signal(times, -signals["speed"].value)
+            signals["speed"] = Signal(signals["speed"].time, -signals["speed"].value)
         if not all_ours:
             used = with_units(used, signals)
         self._not_traction = of_12_volts(used, signals)
@@ -478,6 +481,16 @@ class TableDrive(Source):
         if self._backwards:
             used["speed"] = used["speed"].turned()
         return tuple(sorted([time, *used.values()], key=lambda column: column.place))
+
+    def _signals(
+        self, columns: Mapping[str, Column], times: NDArray[np.float64]
+    ) -> dict[str, Signal]:
+        """What the rows that were looked at measured, in the file's units."""
+        signals = {name: self._signal(column, times) for name, column in columns.items()}
+        self._in_bursts = come_in_bursts(signals)
+        if self._in_bursts:
+            signals = {name: joined(signal) for name, signal in signals.items()}
+        return measured_alone(signals)
 
     def _signal(self, column: Column, times: NDArray[np.float64]) -> Signal:
         values = self._surveyed(column.place)

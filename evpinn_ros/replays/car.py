@@ -27,6 +27,7 @@ from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
+from evpinn_ros.replays.totals import health, totals, with_left_out
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
@@ -101,7 +102,21 @@ class CarReplay:
         estimator = self.chain.estimator
         mass = estimator.parameters().parameters["mass"].trust
         of_all = estimator.breakdown(self._before)
-        return breakdown_metrics(of_all, self._mode.value, mass.value)
+        metrics = breakdown_metrics(of_all, self._mode.value, mass.value)
+        return with_left_out(metrics, self.totals())
+
+    def totals(self) -> dict[str, Any]:
+        """Totals of all drives together, as in the metrics of each."""
+        return totals([replayed.drive for replayed in self.done])
+
+    def metrics(self) -> dict[str, Any]:
+        """Values of `--metrics` of several drives."""
+        return {
+            "drives": [replayed.metrics for replayed in self.done],
+            "totals": self.totals(),
+            "breakdown": self.breakdown(),
+            "health": health(self.chain.account.gauge),
+        }
 
     def at_next_drive(self) -> OnlineEstimator:
         """The estimator as it would begin the next drive now; the present drive goes on."""

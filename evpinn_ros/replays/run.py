@@ -25,6 +25,7 @@ from evpinn_ros.logs.source import STRAGGLING_NS, Source
 from evpinn_ros.replays.chain import Chain, ChainOutput
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import metrics
+from evpinn_ros.replays.totals import health, totals, with_left_out
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.estimates import breakdown_messages, output_messages
 from evpinn_ros.topics.readings import reading_messages
@@ -155,6 +156,9 @@ def replay(
         wall=wall,
         breakdown=chain.estimator.breakdown(),
     )
+    scores["totals"] = totals([drive])
+    scores["health"] = health(chain.account.gauge)
+    scores["breakdown"] = with_left_out(scores["breakdown"], scores["totals"])
     return Replayed(drive, scores, source.problem)
 
 

@@ -100,7 +100,20 @@ def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
         )
     far = breakdown["distance_m"] / units.metres
     driven = f"{far:.1f} {units.distance} and {duration_text(breakdown['duration_s'])}"
-    return [*lines, f"Based on {driven} with usable battery data."]
+    based = f"Based on {driven} with usable battery data."
+    return [*lines, based + _others(breakdown)]
+
+
+def _others(breakdown: Mapping[str, Any]) -> str:
+    """Sentence on energy of the drive that is not taken apart, where its total shows it."""
+    rest, measured = breakdown.get("left_out_kwh"), breakdown["measured"]["kwh"]
+    if rest is None:
+        return ""
+    digits = kwh_digits(measured + rest, 2)
+    total, parts = (f"{kwh:.{digits}f}" for kwh in (measured + rest, measured))
+    if total == parts:
+        return ""
+    return f" Another {rest:.{kwh_digits(rest, 2)}f} of {total} kWh are not taken apart."
 
 
 def duration_text(seconds: float) -> str:

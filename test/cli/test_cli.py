@@ -113,7 +113,7 @@ def test_a_bad_input_does_not_cost_the_drives_beside_it(evpinn, folder):
     (line,) = [line for line in ended.stderr.splitlines() if "not replayed: " in line]
     assert "wrong.csv" in line and "all 2" in ended.stdout
     kept = json.loads((folder / "kept_metrics.json").read_text())
-    assert [drive["input"]["path"] for drive in kept] == ["drive", "speed.csv"]
+    assert [drive["input"]["path"] for drive in kept["drives"]] == ["drive", "speed.csv"]
     both = evpinn("replay", "wrong.csv", "wrong.csv", cwd=folder)
     assert_fails_in_one_line(both, "wrong.csv")
 

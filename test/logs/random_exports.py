@@ -143,7 +143,8 @@ def random_export(seed: int) -> Export:
     names = list(columns)
     export.drive_columns = tuple(names[:3])
     chance.shuffle(names)
-    rows = _rows(chance, drive, names, columns, comma=comma)
+    ends = {0, drive.time.size - 1, export.drive.time.size - 1}
+    rows = _rows(chance, drive, names, columns, ends, comma=comma)
     layout = chance.choice(["wide"] * 6 + ["polled", "long"])
     if layout != "wide" and not clock.endswith("only"):
         time = names.index(next(iter(columns)))
@@ -287,10 +288,11 @@ def _rows(
     drive: Drive,
     names: list[str],
     columns: dict[str, Column],
+    ends: set[int],
     *,
     comma: bool,
 ) -> Rows:
-    """The cells of all moments: some are missing, but for those at either end."""
+    """The cells of all moments: some are missing, but for those at the ends of what is right."""
     digits, missing = chance.choice([2, 2, 3]), chance.choice(MISSING)
     share = chance.choice([0.0, 0.0, 0.01])
     last = drive.time.size - 1
@@ -298,7 +300,7 @@ def _rows(
     def written(i: int, name: str) -> str:
         value = columns[name](i)
         if not isinstance(value, str):
-            if 0 < i < last and chance.random() < share:
+            if 0 < i < last and chance.random() < share and i not in ends:
                 return missing
             value = f"{value:.{digits}f}"
         is_number = value.count(".") == 1 and ":" not in value
@@ -308,7 +310,7 @@ def _rows(
     if chance.random() < 0.1:  # what a bus sends in place of a measurement
         place = next((k for k, name in enumerate(names) if name.endswith(("(V)", "[V]"))), None)
         if place is not None and "12V" not in names[place] and "Cell" not in names[place]:
-            rows[last // 2][place] = "6553,5" if comma else "6553.5"
+            rows[last // 3][place] = "6553,5" if comma else "6553.5"
     return rows
 
 

@@ -19,6 +19,7 @@ MOST_WRONG = 0.02  # of way and energy
 MOST_REFUSED = 0.03  # of those that a person could read
 MOST_ASSUMED_WRONGLY = 0.1
 MOST_DOUBTED_WRONGLY = 0.1
+LEAST_RIGHT = 0.7  # of those that a person could read and would not doubt
 NIGHT = [pytest.param(block, marks=pytest.mark.nightly) for block in range(4, 100)]
 
 
@@ -54,4 +55,5 @@ def test_no_export_is_read_wrong_in_silence(tmp_path, block):
     assert verdicts["refused"] <= MOST_REFUSED * BLOCK, examples["refused"]
     assert verdicts["assumed"] <= MOST_ASSUMED_WRONGLY * BLOCK, examples["assumed"]
     assert verdicts["doubted wrongly"] <= MOST_DOUBTED_WRONGLY * BLOCK, examples["doubted wrongly"]
-    assert verdicts["right"] > 0.4 * BLOCK, verdicts
+    told = BLOCK - sum(count for word, count in verdicts.items() if word.endswith("by a person"))
+    assert verdicts["right"] > LEAST_RIGHT * told, verdicts

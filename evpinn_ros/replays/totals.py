@@ -1,0 +1,70 @@
+"""Totals of replayed drives, as every text and page gives them, and the battery's health."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+import math
+from typing import Any
+
+from evpinn_ros.common.units import JOULES_PER_KWH
+from evpinn_ros.core.energy.charge import ChargeGauge
+from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.replays.driven import counted
+from evpinn_ros.replays.energy_metrics import KWH_PER_100KM
+from evpinn_ros.replays.history import Drive
+
+
+def totals(drives: Sequence[Drive]) -> dict[str, Any]:
+    """Values of `--metrics` under `totals`, of one drive or of several in their order."""
+    sums = [counted(drive) for drive in drives]
+    energies = [total.energy for total in sums if not math.isnan(total.energy)]
+    known = math.fsum(total.known for total in sums)
+    energy = math.fsum(energies) if energies else None
+    charges = [drive.charge[:, 1] for drive in drives if len(drive.charge)]
+    per_metre = energy / known if energy is not None and known >= CONSUMPTION_METRES else None
+    return {
+        "start": _start(drives[0]),
+        "distance_m": math.fsum(total.distance for total in sums),
+        "duration_s": math.fsum(drive.driven_s for drive in drives),
+        "energy_kwh": _kwh(energy),
+        "measured_m": known,
+        "kwh_per_100km": None if per_metre is None else per_metre / KWH_PER_100KM,
+        "charged_kwh": _kwh(math.fsum(total.charged for total in sums)),
+        "charge_first_percent": 100.0 * float(charges[0][0]) if charges else None,
+        "charge_last_percent": 100.0 * float(charges[-1][-1]) if charges else None,
+    }
+
+
+def _start(drive: Drive) -> str | None:
+    """Its first moment by ISO 8601, without a zone where the clock is local; None if undated."""
+    if not drive.dated:
+        return None
+    moment = datetime.fromtimestamp(drive.start_ns // NANOSECONDS, tz=timezone.utc)
+    return (moment if drive.zoned else moment.replace(tzinfo=None)).isoformat()
+
+
+def health(gauge: ChargeGauge) -> dict[str, float | None]:
+    """Values of `--metrics` under `health`: null until a change of the charge tells them."""
+    if not gauge.learned:
+        return dict.fromkeys(("percent", "sigma_percent", "capacity_kwh", "capacity_sigma_kwh"))
+    percent, spread = (100.0 * share if gauge.health.known else None for share in gauge.health)
+    capacity, sigma = map(_kwh, gauge.capacity)
+    return {
+        "percent": percent,
+        "sigma_percent": spread,
+        "capacity_kwh": capacity,
+        "capacity_sigma_kwh": sigma,
+    }
+
+
+def with_left_out(breakdown: Mapping[str, Any], total: Mapping[str, Any]) -> dict[str, Any]:
+    """A breakdown with what the totals have and its intervals lack, kWh; null if unknown."""
+    energy, measured = total["energy_kwh"], breakdown["measured"]["kwh"]
+    left = None if energy is None or measured is None else energy - measured
+    return {**breakdown, "left_out_kwh": left}
+
+
+def _kwh(joules: float | None) -> float | None:
+    return None if joules is None else joules / JOULES_PER_KWH
