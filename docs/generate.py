@@ -24,6 +24,7 @@ sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the p
 
 from docs import one_interval
 from docs.metric_table import METRICS
+import evpinn_ros
 from evpinn_ros.cli import options
 from evpinn_ros.cli.main import app
 from evpinn_ros.core.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
@@ -111,6 +112,15 @@ path to `--vehicle`. [Certified](#certified-cars) and [rated](#rated-cars) cars 
 
 | vehicle | eta | mu | mass kg | C_rr | C_d | p_aux W | frontal area m^2 | CAN profile |
 |---|---|---|---|---|---|---|---|---|"""
+
+
+CALLED = ("Estimator",)  # classes that callers make
+API = """\
+# Python API
+
+`import evpinn_ros as ev` ([in use](../guides/python.md)). `help(ev.replay)` and
+`make site` show all of a docstring: arguments, columns, errors.
+"""
 
 
 CERTIFIED = """\
@@ -308,6 +318,54 @@ def commands_page() -> str:
     return "\n".join([*lines, ""])
 
 
+def api_page() -> str:
+    """Signature and first sentence of each public name, and of what public classes have."""
+    names = [name for name in evpinn_ros.__all__ if not name.startswith("_")]
+    return "\n".join([MADE, API, *chain.from_iterable(map(_api_section, names))])
+
+
+def _api_section(name: str) -> Iterator[str]:
+    value = getattr(evpinn_ros, name)
+    calls = inspect.isfunction(value) or name in CALLED
+    code = ["```python", _call(f"ev.{name}", value, wide=True), "```", ""] if calls else []
+    yield from (f"## ev.{name}", "", *code, _first_sentence(value), "")
+    if inspect.isclass(value):
+        sentences = {
+            _call(key, member) if inspect.isfunction(member) else key: _first_sentence(member)
+            for key, member in vars(value).items()
+            if key[0] != "_" and key not in getattr(value, "_fields", ())
+        }
+        lines = [f"- `{call}`: {sentence}" for call, sentence in sentences.items() if sentence]
+        yield from [*lines, ""] if lines else []
+
+
+class _Annotation(str):
+    """An annotation as the source has it."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+def _call(name: str, value: Any, *, wide: bool = False) -> str:
+    """How something is called; wide: each argument on its own line."""
+    signature = inspect.signature(value)
+    given = [p for p in signature.parameters.values() if p.name != "self"]
+    arguments = [str(p.replace(annotation=_Annotation(p.annotation))) for p in given]
+    named = [p.kind is p.KEYWORD_ONLY for p in given]
+    if True in named:
+        arguments.insert(named.index(True), "*")
+    listed = "".join(f"\n    {each}," for each in arguments) if wide else ", ".join(arguments)
+    result = "" if inspect.isclass(value) else f" -> {signature.return_annotation}"
+    return f"{name}({listed}\n){result}" if wide else f"{name}({listed}){result}"
+
+
+def _first_sentence(value: Any) -> str:
+    paragraphs = (inspect.getdoc(value) or "").split("\n\n")
+    return " ".join(paragraphs[0].split())
+
+
 def _shared_options() -> Iterator[tuple[Any, str]]:
     for _, command in _commands(typer.main.get_command(app), "evpinn"):
         for option, declared in _declared(command):
@@ -401,6 +459,7 @@ PAGES = {
     "reference/metrics.md": metrics_page,
     "reference/states.md": states_page,
     "reference/detectors.md": detectors_page,
+    "reference/api.md": api_page,
 }
 
 

@@ -27,10 +27,11 @@ MOVED = {"README.md": "documents.md", "../README.md": "index.md"}
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Begin with the README of the repository, and add the page of the public API."""
+    """Begin with the README of the repository; the page of the API has whole docstrings."""
     names = [name for name in evpinn_ros.__all__ if not name.startswith("_")]
     blocks = "\n".join(BLOCK.format(name=name) for name in names)
     text = f"# Python API\n\n[In use](../guides/python.md): `import evpinn_ros as ev`.\n\n{blocks}"
+    files.remove(files.src_uris[API])
     files.append(File.generated(config, API, content=text))
     for source, name in MOVED.items():
         content = Path(config.docs_dir, source).read_text(encoding="utf-8")

@@ -146,6 +146,10 @@ def blocks_of(tree: ast.Module, head: str) -> Iterator[ast.AST]:
 def test_version_is_one(wheel: ZipFile) -> None:
     metadata = message_from_string(read_info(wheel, "METADATA"))
     assert metadata["Version"] == MANIFEST.findtext("version") == evpinn_ros.__version__
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == evpinn_ros.__version__
+    heading = f"## {citation['version']} - {citation['date-released']}\n"
+    assert heading in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_manifest_declares_what_every_installation_has(wheel: ZipFile) -> None:

@@ -20,7 +20,7 @@ from evpinn_ros.cli.options import (
     with_read_options,
 )
 from evpinn_ros.common.plain_table import PlainTable
-from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem, kwh_digits
+from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem, fixed, kwh_digits
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.core.energy.plan import MAX_SPEED
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
@@ -157,14 +157,14 @@ def forecast(
     level: dict[str, list[str]] = {}
     for planned, name in zip(forecasts, names, strict=True):
         if uneven := planned.uneven_part:
-            say(f"{name}: {uneven}")
+            say(f"{name}: {uneven}; --steady leaves it out.")
         if (text := planned.no_heights(shown)) is not None:
             level.setdefault(text, []).append(name)
     for text, alike in level.items():
         say(f"{', '.join(alike)}: {text}.")
-    basis = "by its vehicle file alone; --state FILE uses what earlier drives taught"
-    car_line = f"{vehicle}, {basis if state is None else f'as learned in {state}'}."
-    say(car_line)
+    basis = "by its vehicle file alone" if state is None else f"as learned in {state}"
+    better = "; --state FILE uses what earlier drives taught" if state is None else ""
+    say(f"{vehicle}, {basis}{better}.")
     if (record := forecasts[0].record) is not None:
         say(record)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
@@ -181,7 +181,7 @@ def forecast(
             PlannedTrip(name, planned, what_if(planned.given, car, given, shown))
             for name, planned in zip(names, forecasts, strict=True)
         ]
-        assumed = " ".join(filter(None, (car_line, expected, battery)))
+        assumed = " ".join(filter(None, (f"{vehicle}, {basis}.", expected, battery)))
         write_forecasts(report, shown_trips, assumed, command_line(), shown)
     if json_file is not None:
         write_json(json_file, rows)
@@ -319,9 +319,9 @@ def _texts(row: dict[str, Any], units: Units) -> list[str]:
         f"{distance:.2f}",
         f"{60 * hours:.1f}",
         f"{distance / hours:.0f}",
-        f"{kwh:.{digits}f}",
+        fixed(kwh, digits),
         f"{sigma:.{digits}f}",
         units.consumption(row["energy_j"], row["distance_m"]) if distance else "-",
         charge if math.isfinite(row["charge_pct"]) else "-",
-        f"{more:+.{digits}f} +- {more_sigma:.{digits}f}" if math.isfinite(more) else "",
+        f"{fixed(more, digits, '+')} +- {more_sigma:.{digits}f}" if math.isfinite(more) else "",
     ]

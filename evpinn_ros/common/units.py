@@ -19,6 +19,11 @@ def kwh_digits(kwh: float, usual: int) -> int:
     return usual + 2 if abs(kwh) < SMALL_KWH else usual
 
 
+def fixed(value: float, digits: int, sign: str = "") -> str:
+    """A number to so many digits, without a minus before zeros; sign `+` for differences."""
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
+
+
 def counted(number: int, word: str) -> str:
     """Number of things with their word: `1 car`, `2 cars`."""
     return f"{number} {word}{'' if number == 1 else 's'}"
@@ -67,7 +72,7 @@ class Units(NamedTuple):
     def consumption(self, joules: float, metres: float) -> str:
         """Energy over distance as people state it, in units of `economy`."""
         if self is METRIC:
-            return f"{joules / metres / self.rate_joules:.1f}"
+            return fixed(joules / metres / self.rate_joules, 1)
         return f"{metres / self.metres * JOULES_PER_KWH / joules:.1f}" if joules > 0 else "-"
 
 

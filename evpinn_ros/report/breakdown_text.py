@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
-from evpinn_ros.common.units import METRIC, Units, kwh_digits
+from evpinn_ros.common.units import METRIC, Units, fixed, kwh_digits
 from evpinn_ros.core.estimation.breakdown import MOSTLY_UNSEEN, REGAINED, UNEXPLAINED
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.terms import LOSSES, WHOLE, Part
@@ -83,7 +83,7 @@ def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
 def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
     """Sentences on doubts about a breakdown, and on how much driving it is based on."""
     lines = [
-        f"These data cannot separate {_together(group['parts'])}: only their sum is known."
+        f"These data show {listed([MEANINGS[part] for part in group['parts']])} only as one sum."
         for group in breakdown["together"]
     ]
     left = breakdown[UNEXPLAINED]
@@ -175,14 +175,13 @@ def least_of(name: str) -> float:
 def _took(name: str) -> str:
     if TOGETHER not in name:
         return TOOK.get(name, f"{name} took")
-    *some, last = (SHORT.get(part, part) for part in name.split(TOGETHER))
-    return f"{', '.join(some)} and {last} together took"
+    return f"{listed([SHORT.get(part, part) for part in name.split(TOGETHER)])} together took"
 
 
 def _amount(kwh: float, sigma_kwh: float) -> str:
     half = GAUSSIAN_QUANTILE * sigma_kwh
     digits = next((i for i, least in enumerate((0.495, 0.0095, 0.00095), 1) if half >= least), 4)
-    low, high = (f"{round(limit, digits) + 0.0:.{digits}f}" for limit in (kwh - half, kwh + half))
+    low, high = (fixed(limit, digits) for limit in (kwh - half, kwh + half))
     return f"{low} to {high} kWh (9 times in 10)"
 
 
@@ -192,6 +191,11 @@ def _share(share: float) -> str:
     plain |= {1 / 2: "half", 2 / 3: "two thirds", 3 / 4: "three quarters"}
     near = min(plain, key=lambda share_of_whole: abs(share_of_whole - share))
     return plain[near] if abs(near - share) < 0.02 else f"{100 * share:.0f} %"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence lists them: `a, b and c`."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _together(names: Iterable[str]) -> str:
@@ -207,8 +211,7 @@ def _row(
     name: str, amount: Mapping[str, float | None], units: Units, digits: int
 ) -> tuple[str, ...]:
     def text(value: float | None, places: int) -> str:
-        """The number to some digits, without a sign if it rounds to zero."""
-        return "-" if value is None else f"{round(value, places) + 0.0:.{places}f}"
+        return "-" if value is None else fixed(value, places)
 
     share, rate = amount["share"], amount["kwh_per_100km"]
     rate = None if rate is None else rate * METRIC.rate_joules / units.rate_joules

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, fixed
 from evpinn_ros.core.estimation.breakdown import (
     DIFFERENCE_METRES,
     REGAINED,
@@ -19,7 +19,7 @@ from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.replays.comparison import Comparison, over_distance
 from evpinn_ros.replays.driven import travelled
 from evpinn_ros.replays.energy_metrics import MEANINGS
-from evpinn_ros.report.breakdown_text import name_of
+from evpinn_ros.report.breakdown_text import listed, name_of
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows
 
@@ -85,7 +85,7 @@ def sentences(comparison: Comparison, units: Units = METRIC) -> Iterator[str]:
     base = comparison.parts()[0].total().kwh_per_100km or 0.0
     for name, difference in zip(comparison.names[1:], comparison.differences(), strict=True):
         total = difference.total().kwh
-        share = f" ({100 * total / base:+.0f} %)" if base > 0.0 else ""
+        share = f" ({fixed(100 * total / base, 0, '+')} %)" if base > 0.0 else ""
         if round(total, 2) == 0.0:
             yield f"{name} took as much over distance as {comparison.names[0]}."
             continue
@@ -97,7 +97,7 @@ def sentences(comparison: Comparison, units: Units = METRIC) -> Iterator[str]:
 
 
 def _explained(difference: Breakdown, units: Units) -> str:
-    """Parts of a difference's sign beyond `SURE`, largest first, and those that leave it open."""
+    """Parts beyond `SURE` that explain a difference, those against it, and those not known."""
     total = difference.total().kwh
     parts = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
     parts.append((MEANINGS[UNEXPLAINED], difference.amounts()[UNEXPLAINED]))
@@ -105,25 +105,33 @@ def _explained(difference: Breakdown, units: Units) -> str:
     parts.sort(key=lambda part: -abs(part[1].kwh))
     sure = [part for part in parts if abs(part[1].kwh) > SURE * part[1].sigma_kwh > 0.0]
     least = WORTH_NAMING * abs(total)
-    by_kind = {
-        "Explained by": [part for part in sure if part[1].kwh * total > 0.0],
-        "Against that": [p for p in sure if p[1].kwh * total < 0.0 and abs(p[1].kwh) > least],
-        "Not known well enough": [
-            part
-            for part in parts
-            if part not in sure and max(abs(part[1].kwh), part[1].sigma_kwh) > least
-        ],
-    }
-    texts = {
-        kind: "; ".join(
-            f"{name} {rate_text(amount, DIFFERENCE_METRES, True, units)}" for name, amount in named
-        )
-        for kind, named in by_kind.items()
-    }
-    sentences = [f"{kind}: {text}." for kind, text in texts.items() if text]
-    if not by_kind["Explained by"]:
-        sentences.insert(0, "No part explains it beyond 2 sigma: these drives do not show why.")
-    return " ".join(sentences)
+
+    def named(sign: float, at_least: float) -> list[str]:
+        scale = sign * JOULES_PER_KWH / DIFFERENCE_METRES / units.rate_joules
+        word = "more" if sign > 0.0 else "less"
+        return [
+            f"{name} ({fixed(scale * amount.kwh, _digits(units))} {word})"
+            for name, amount in sure
+            if sign * amount.kwh > at_least
+        ]
+
+    sign = 1.0 if total > 0.0 else -1.0
+    known, against = named(sign, 0.0), named(-sign, least)
+    open_parts = [
+        name
+        for name, amount in parts
+        if (name, amount) not in sure
+        and name != MEANINGS[UNEXPLAINED]
+        and max(abs(amount.kwh), amount.sigma_kwh) > least
+    ]
+    sentences = [
+        f"Explained by {listed(known)}."
+        if known
+        else "No part explains it beyond 2 sigma: these drives do not show why.",
+        f"Against that: {listed(against)}." if against else "",
+        f"Not known well enough to say: {listed(open_parts)}." if open_parts else "",
+    ]
+    return " ".join(filter(None, sentences))
 
 
 def _is_shown(amount: Amount, units: Units) -> bool:
@@ -134,10 +142,9 @@ def _is_shown(amount: Amount, units: Units) -> bool:
 
 def rate_text(amount: Amount, distance: float, signed: bool = False, units: Units = METRIC) -> str:
     """Consumption of a part over a distance, m, with its 1-sigma, in `units.rate`."""
-    digits, sign = _digits(units), "+" if signed else ""
-    scale = JOULES_PER_KWH / distance / units.rate_joules
-    value = round(amount.kwh * scale, digits) + 0.0  # no -0.00
-    return f"{value:{sign}.{digits}f} +- {amount.sigma_kwh * scale:.{digits}f}"
+    digits, scale = _digits(units), JOULES_PER_KWH / distance / units.rate_joules
+    value = fixed(amount.kwh * scale, digits, "+" if signed else "")
+    return f"{value} +- {amount.sigma_kwh * scale:.{digits}f}"
 
 
 def _digits(units: Units) -> int:

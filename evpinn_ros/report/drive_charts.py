@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evpinn_ros.common.arrays import chosen_rows
-from evpinn_ros.common.units import JOULES_PER_WH, METRIC, Units
+from evpinn_ros.common.units import JOULES_PER_WH, METRIC, Units, fixed
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.terms import WARM
@@ -237,12 +237,11 @@ def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> Int
     kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
     least = least_of(name)
     value, low, high = (
-        f"{round(limit, digits) + 0.0:.{digits}f}"
-        for limit in (kwh, max(kwh - half, least), kwh + half)
+        fixed(limit, digits) for limit in (kwh, max(kwh - half, least), kwh + half)
     )
     rate = part["kwh_per_100km"]
     per_distance = ""
     if rate is not None:
         shown_rate = rate * METRIC.rate_joules / units.rate_joules
-        per_distance = f"; {shown_rate:.{1 if units is METRIC else 0}f} {units.rate}"
+        per_distance = f"; {fixed(shown_rate, 1 if units is METRIC else 0)} {units.rate}"
     return IntervalRow(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half, least)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, fixed
 from evpinn_ros.core.energy.charge import ChargeGauge
 from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
 from evpinn_ros.core.signals.readings import NANOSECONDS
@@ -304,7 +304,7 @@ def drive_tiles(drive: Drive, units: Units) -> Iterator[tuple[str, str]]:
         yield f"{begin:.0f} to {end:.0f} %", "state of charge"
     if len(drive.altitude):
         heights = drive.altitude[:, 1] / units.height_metres
-        rise = f"{heights[-1] - heights[0]:+.0f} {units.height}"
+        rise = f"{fixed(heights[-1] - heights[0], 0, '+')} {units.height}"
         yield rise, f"end over begin; {heights.min():.0f} to {heights.max():.0f} {units.height}"
     if len(drive.temperature):
         celsius = drive.temperature[:, 1]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, fixed
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import UNEVEN, Change, PlannedEnergy, plan_parts
 from evpinn_ros.core.energy.plan import Legs
@@ -49,7 +49,7 @@ def _trip(trip: PlannedTrip, units: Units) -> dict[str, Any]:
         "curves": list(_curves(trip.planned, units)),
         "parts": _parts(trip.planned),
         "changes": [
-            (change.words, f"{change.seconds / 60:+.1f} min", _kwh(change.energy, "+"))
+            (change.words, f"{fixed(change.seconds / 60, 1, '+')} min", _kwh(change.energy, "+"))
             for change in trip.changes
         ],
     }
@@ -65,7 +65,7 @@ def _sentence(planned: PlannedEnergy, units: Units) -> str:
         f"take {kwh:.2f} kWh: 9 times in 10 between {low:.2f} and {high:.2f}."
     )
     if uneven := planned.uneven_part:
-        text += f" {uneven}"
+        text += f" {uneven}."
     if level := planned.no_heights(units):
         text += f" {level[0].upper()}{level[1:]}."
     if record := planned.record:
@@ -149,4 +149,4 @@ def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
 
 def _kwh(energy: Uncertain, sign: str = "") -> str:
     value, sigma = energy.value / JOULES_PER_KWH, energy.sigma / JOULES_PER_KWH
-    return f"{value:{sign}.3f} +- {sigma:.3f} kWh"
+    return f"{fixed(value, 3, sign)} +- {sigma:.3f} kWh"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, kwh_digits
+from evpinn_ros.common.units import JOULES_PER_KWH, METRIC, Units, fixed, kwh_digits
 from evpinn_ros.common.units import counted as counted_text
 from evpinn_ros.core.energy.charge import ChargeGauge
 from evpinn_ros.core.estimation.breakdown import CONSUMPTION_METRES
@@ -213,7 +213,7 @@ def _texts(figures: Figures, units: Units) -> tuple[str, str, str, str]:
     distance, duration, joules, metres = figures
     kwh = joules / JOULES_PER_KWH
     return (
-        "-" if math.isnan(joules) else f"{kwh:.{kwh_digits(kwh, 2)}f}",
+        "-" if math.isnan(joules) else fixed(kwh, kwh_digits(kwh, 2)),
         "-" if metres < CONSUMPTION_METRES else units.consumption(joules, metres),
         f"{distance / units.metres:.1f}",
         f"{duration / 60:.0f}",

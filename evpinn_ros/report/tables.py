@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from evpinn_ros.common.units import fixed
 from evpinn_ros.core.vehicle.parameters import QUANTITIES, Parameters
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, baseline_scores, held_scores
@@ -84,7 +85,7 @@ def watt_hours(joules: float | None) -> str:
 
 def signed_percent(value: float | None) -> str:
     """Text of an error in percent."""
-    return "-" if value is None else f"{value:+.2f} %"
+    return "-" if value is None else f"{fixed(value, 2, '+')} %"
 
 
 def _energy_line(title: str, score: Mapping[str, float | None]) -> str:

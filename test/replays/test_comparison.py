@@ -66,7 +66,7 @@ def test_a_load_is_found_as_what_explains_the_difference(vehicle):
             assert abs(part.kwh) < 0.1 * true, name
     first, second = sentences(winter)
     assert first.startswith("drive1 took") and "more than drive0" in first
-    assert second.startswith("Explained by: other standing load +")
+    assert second.startswith("Explained by other standing load (")
 
 
 def test_miles_are_the_same_roads(winter, tmp_path):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 import math
+import re
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,7 +20,7 @@ from evpinn_ros.core.energy.plan import Legs, PlanConditions, legs_of_trip, plan
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.report.forecast_page import _curves, _sentence
+from evpinn_ros.report.forecast_page import PlannedTrip, _curves, _sentence, write_forecasts
 
 TIME = np.arange(0.0, 601.0, 2.0)
 SPEED = np.minimum(20.0, np.minimum(TIME, 600.0 - TIME)) * (1.0 + 0.1 * np.sin(TIME / 20.0))
@@ -149,6 +150,16 @@ def test_a_full_battery_gives_what_is_used_when_it_is_empty(kmh):
     curve = planned.energies.curve
     used = np.interp(planned.empty_at, curve.distance, curve.energy)
     assert used == pytest.approx(planned.full.value, rel=0.01)
+
+
+def test_a_page_tells_a_driver_no_options(tmp_path):
+    planned = planned_energy(FEW, "bmw_i3", PlanConditions(charge=0.8))
+    assert planned.uneven_part
+    write_forecasts(
+        tmp_path / "p.html", [PlannedTrip("trip", planned, ())], "Mild.", "evpinn", METRIC
+    )
+    body = (tmp_path / "p.html").read_text().partition("<body>")[2]
+    assert not re.findall(r"(?<=\s)--?[a-z]\w*", body)
 
 
 def test_the_charge_on_the_page_ends_at_zero():

@@ -220,7 +220,7 @@ class PlannedEnergy(NamedTuple):
         part, whole = self.uneven / JOULES_PER_KWH, self.energies.energy[-1] / JOULES_PER_KWH
         if part < 0.005:
             return None
-        return f"{part:.2f} of the {whole:.2f} kWh is for {UNEVEN}; --steady leaves it out."
+        return f"{part:.2f} of the {whole:.2f} kWh is for {UNEVEN}"
 
     def no_heights(self, units: Units = METRIC) -> str | None:
         """Sentence on the part of the way whose height is not known; None where all is."""

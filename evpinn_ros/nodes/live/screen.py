@@ -11,7 +11,7 @@ from rich.text import Text
 
 from evpinn_ros import topics
 from evpinn_ros.common.errors import printable
-from evpinn_ros.common.units import KMH
+from evpinn_ros.common.units import KMH, fixed
 from evpinn_ros.core.estimation.estimate import FIGURES
 from evpinn_ros.core.estimation.operating_range import MANNERS, SPEED_EDGES
 from evpinn_ros.core.vehicle.parameters import QUANTITIES
@@ -326,7 +326,7 @@ def _number(value: float, decimals: int) -> str:
         return UNKNOWN
     if abs(value) >= GREATEST:
         return f"{value:.1e}"
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # no -0
+    return fixed(value, decimals)
 
 
 def _cell(text: str, width: int, *, right: bool = False) -> str:

@@ -251,7 +251,7 @@
         hidden, { label: "measured", paths: () => null, points: { show: false },
           stroke: () => palette.bar, value: (u, v, _, i) => (v == null ? ""
             : `${digits(v)}, over ${number(barAt(x[i])[2], 1)} ${distance}`) },
-        { label: "faster than driven", stroke: () => palette.predicted, width: 2, dash: [3, 5],
+        { label: "faster than driven", stroke: () => palette.other, width: 2, dash: [3, 5],
           points: { show: false }, value: interval }],
       bands: [{ series: [3, 1], fill: () => palette.band }],
       hooks: { drawAxes: [draw] },
