@@ -91,7 +91,8 @@ not fit a CAN profile, which are counted ([CAN](../explanation/can.md#which-car-
 """
 READING = """\
 `evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive; for
-several, these as `drives`, and `totals`, `breakdown` and `health` of all. A part in <> stands for any name. Values that cannot be known are `null`, because
+several, these as `drives`, and `totals`, `breakdown` and `health` of all. A part in <> stands for
+any name. Values that cannot be known are `null`, because
 nothing was measured or the drive is too short. All scores of power and energy are
 predict-then-update: each sample is predicted before it is learned from. `power` scores
 `power/smoothed`, and `power_now` scores `power/predicted`, both after `--warm-up`. `withheld`
