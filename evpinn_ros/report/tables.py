@@ -41,7 +41,7 @@ def score_rows(drive: Drive, metrics: Mapping[str, Any], warm_up: float) -> list
     title = "power/smoothed" if lag is None else f"power/smoothed ({lag:.1f} s later)"
     rows = [
         (title, *_scores(metrics["power"])),
-        ("power/predicted (without battery)", *_scores(metrics["power_now"])),
+        ("power/predicted (at once)", *_scores(metrics["power_now"])),
     ]
     withheld = metrics.get("withheld")
     if withheld is not None:

@@ -52,6 +52,7 @@ from evpinn_ros.core.estimation.outputs import (
     PowerRows,
     joined_outputs,
 )
+from evpinn_ros.core.estimation.persistence import Persistence
 from evpinn_ros.core.estimation.size import Similarity
 from evpinn_ros.core.estimation.sizing import Sizing
 from evpinn_ros.core.estimation.worker import InlineWorker
@@ -66,13 +67,13 @@ from evpinn_ros.core.signals.readings import (
     MotorReading,
     Reading,
     SpeedReading,
-    drawn_power,
     sensor_sigma,
 )
 from evpinn_ros.core.signals.reorder import Arrived, ReorderBuffer
-from evpinn_ros.core.signals.sample import Events, Measured, Samples
+from evpinn_ros.core.signals.sample import Events, Measured, Newest, Samples
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.stuck import StuckDetector, Verdict, VerdictCourse
+from evpinn_ros.core.signals.told import NO_BATTERY, ToldPower
 from evpinn_ros.core.signals.track import LATER, NEVER
 from evpinn_ros.core.vehicle.files import CONSTANTS, GENERIC, Vehicle
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED, RegenForm
@@ -267,7 +268,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._stuck = StuckDetector()
         self._tick_ns: int | None = None  # of the last second of stamps
         self._first_ns: int | None = None  # of the first speed
-        self._voltage, self._voltage_ns = math.nan, NEVER  # the last told
+        self._persistence = Persistence()
         # Stamps at which the battery measured power, from the last before the smoothed samples.
         self._told_ns = np.array([NEVER])
         self._waiting = False
@@ -329,9 +330,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """
         self._tells_breakdown = breakdowns
         released, arrived = self._buffer.add(self._aligner.shifted(block))
-        outputs = self._advance(released, self._newest.add(arrived))
-        told = arrived.get(BatteryReading)
-        return outputs if told is None else outputs._replace(measured=self._told(told))
+        told = self._newest.battery.add(arrived.get(BatteryReading, NO_BATTERY))
+        outputs = self._advance(released, self._newest.add(arrived, told))
+        return outputs._replace(measured=self._told(told))
 
     def add_reading(
         self, reading: Reading, *, breakdowns: bool = False
@@ -385,6 +386,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             motor_power=np.array([moved.motor_power]),
         )
         (power,), (sigma,) = (column.tolist() for column in self._learner.predict(sample))
+        told_ns, told = self._newest.battery.before(stamp_ns)
+        if self._stuck.verdict.detected == BATTERY_STUCK:
+            told = math.nan
+        told /= self._similarity.size
+        power, sigma = self._persistence.add_one(stamp_ns, power, sigma, told_ns, told)
         moving, size = abs(speed) > STANDSTILL_SPEED, self._similarity.size
         self._predicted.append((stamp_ns, power, sigma, moving))
         sigma *= self._bands[PowerKind.PREDICTED].scale(moving=moving)
@@ -392,10 +398,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     def _measured_at_once(self, reading: BatteryReading) -> PowerEstimate | None:
         """Power that a battery reading measures; of a current alone, with the last voltage."""
-        if reading.voltage == reading.voltage:
-            self._voltage, self._voltage_ns = reading.voltage, reading.stamp_ns
-        power = drawn_power(self._voltage, reading.current)
-        old = reading.stamp_ns - self._voltage_ns > self._stream.battery.voltage.gap_ns()
+        power, age_ns = self._newest.battery.add_reading(reading)
+        old = age_ns > self._stream.battery.voltage.gap_ns()
         if old or power != power or self._stuck.verdict.detected == BATTERY_STUCK:
             return None
         stamp_ns = reading.stamp_ns - self._aligner.shift_ns
@@ -471,7 +475,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         predictions, learned = self._learn(span, events, learned_from, course, ticks)
         newest_rows = self._calibrated(
             PowerKind.PREDICTED, events.newest.samples, events.newest.samples.stamp_ns,
-            predictions.newest, measured, checkable,
+            self._persistent(events.newest, predictions.newest, course), measured, checkable,
             events.newest.known_ns.searchsorted(measured.known_ns),
         )  # fmt: skip
         smoothed_rows = self._calibrated(
@@ -482,6 +486,16 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         smoothed_rows = smoothed_rows._replace(energy=energies, energy_sigma=sigmas)
         size = self._similarity.size
         return Outputs(NO_POWERS, newest_rows.times(size), smoothed_rows.times(size), learned)
+
+    def _persistent(
+        self, newest: Newest, predicted: np.ndarray, course: VerdictCourse
+    ) -> np.ndarray:
+        """Predictions, W, shape (n, 2), with what the battery last had beside them."""
+        told = newest.told_power / self._similarity.size
+        if not course.is_quiet:
+            known = newest.known_ns.tolist()
+            told[[course.at(ns).detected == BATTERY_STUCK for ns in known]] = np.nan
+        return self._persistence.add(newest.samples.stamp_ns, predicted, newest.told_ns, told)
 
     def _stamps_told(self, block: Block, course: VerdictCourse) -> np.ndarray:
         """Stamps of a block at which the battery measured power, ns."""
@@ -497,25 +511,15 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         stamps: np.ndarray = rows.stamps[told]
         return stamps
 
-    def _told(self, battery: Arrived) -> PowerRows:
-        """Power that battery readings measure, at their own stamps, when they come.
-
-        Of a current alone, with the last voltage.
-        """
-        voltage, current, _, coarse = battery.values
-        stamps = battery.stamps
-        volts, volts_ns = np.append(self._voltage, voltage), np.append(self._voltage_ns, stamps)
-        last = np.maximum.accumulate(np.where(np.isnan(volts), 0, np.arange(len(volts))))
-        self._voltage, self._voltage_ns = float(volts[last[-1]]), int(volts_ns[last[-1]])
-        volts, age_ns = volts[last[1:]], stamps - volts_ns[last[1:]]
-        power = drawn_power(volts, current)
-        used = ~np.isnan(power) & (age_ns <= self._stream.battery.voltage.gap_ns())
+    def _told(self, told: ToldPower) -> PowerRows:
+        """Power that battery readings measure, at their own stamps, when they come."""
+        used = ~np.isnan(told.power) & (told.age_ns <= self._stream.battery.voltage.gap_ns())
         if not all(course.is_quiet for course in self._courses):
-            sound = [self._is_sound(ns) for ns in battery.watermark_ns.tolist()]
+            sound = [self._is_sound(ns) for ns in told.watermark_ns.tolist()]
             used &= np.array(sound, dtype=bool)
-        stamps, power = stamps[used] - self._aligner.shift_ns, power[used]
+        stamps, power = told.stamps[used] - self._aligner.shift_ns, told.power[used]
         size = self._similarity.size
-        sigma = size * sensor_sigma(power / size, coarse[used] / size)
+        sigma = size * sensor_sigma(power / size, told.coarse[used] / size)
         return PowerRows.of(stamps, stamps, power, sigma)
 
     def _is_sound(self, watermark_ns: int) -> bool:

@@ -21,6 +21,7 @@ from evpinn_ros.core.signals.kinematics import (
 from evpinn_ros.core.signals.power import NOMINAL_RATIO
 from evpinn_ros.core.signals.readings import NANOSECONDS, MotorReading, Reading, SpeedReading
 from evpinn_ros.core.signals.reorder import Arrived
+from evpinn_ros.core.signals.told import NOTHING_TOLD, ToldPower, ToldTrack
 from evpinn_ros.core.signals.track import NEVER
 
 
@@ -34,6 +35,8 @@ class NewestSpeeds(NamedTuple):
         differences: of speed before each (`kinematics.Speeds.differences`), shape (n, TAPS).
         slopes: around each (`kinematics.Speeds.slopes`), shape (n, PROFILE).
         motor_power: W, by the last torque that came, NaN where that is not known, shape (n,).
+        told_ns: stamps of the newest battery reading before each, `NEVER` before any, shape (n,).
+        told_power: its power, W, shape (n,).
     """
 
     stamps: np.ndarray
@@ -42,6 +45,8 @@ class NewestSpeeds(NamedTuple):
     differences: np.ndarray
     slopes: np.ndarray
     motor_power: np.ndarray
+    told_ns: np.ndarray
+    told_power: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> NewestSpeeds:
         """The rows of a mask or slice."""
@@ -55,7 +60,7 @@ class NewestSpeeds(NamedTuple):
 
 NO_SPEEDS = NewestSpeeds(
     np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty((0, TAPS)),
-    np.empty((0, PROFILE)), np.empty(0),
+    np.empty((0, PROFILE)), np.empty(0), np.empty(0, np.int64), np.empty(0),
 )  # fmt: skip
 
 
@@ -73,10 +78,11 @@ NO_ARRIVALS = Arrived(*NO_ROWS[SpeedReading], np.empty(0, np.int64))
 
 
 class NewestTrack:
-    """Follows the speed as it comes."""
+    """Follows the speed as it comes, and the battery beside it (`battery`)."""
 
     def __init__(self, max_gap: float, motor_ratio: float) -> None:
         """Join no speed across a gap (see `SignalTrack`); rad that the motor turns per m."""
+        self.battery = ToldTrack()
         self._max_gap, self._speed = max_gap, SpeedTrack(max_gap)
         self._ratio = NOMINAL_RATIO if math.isnan(motor_ratio) else motor_ratio
         self._motor_ns, self._torque, self._turning = NEVER, math.nan, math.nan  # the last told
@@ -136,8 +142,10 @@ class NewestTrack:
             self._speed.forget_before(int(self._speed.newest_ns) - LOOK_BACK_NS)
             self._new = 0
 
-    def add(self, arrived: Mapping[type[Reading], Arrived]) -> NewestSpeeds:
-        """Take what came; returns the speeds that are newer than all before."""
+    def add(
+        self, arrived: Mapping[type[Reading], Arrived], told: ToldPower = NOTHING_TOLD
+    ) -> NewestSpeeds:
+        """Take what came, the battery as `told`; the speeds that are newer than all before."""
         self._extend()
         self._latest = []
         speeds = arrived.get(SpeedReading)
@@ -152,7 +160,8 @@ class NewestTrack:
         )  # fmt: skip
         differences, slopes = self._moved(stamps, speed)
         power = self._motor_power(motor, order, stamps, speed)
-        return NewestSpeeds(stamps, known_ns, speed, differences, slopes, power)
+        battery = self.battery.before_each(order, stamps, told)
+        return NewestSpeeds(stamps, known_ns, speed, differences, slopes, power, *battery)
 
     def _moved(self, stamps: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differences and slopes of speed at moments; nothing is joined across a gap."""

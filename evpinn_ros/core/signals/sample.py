@@ -126,14 +126,18 @@ class Newest(NamedTuple):
     Attributes:
         samples: n of them, whose acceleration is causal.
         known_ns: up to here all was learned before each, shape (n,).
+        told_ns: stamps of the newest battery reading before each, shape (n,).
+        told_power: its power, W, NaN before any, shape (n,).
     """
 
     samples: Samples
     known_ns: np.ndarray
+    told_ns: np.ndarray
+    told_power: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> Newest:
         """The rows of a mask or slice."""
-        return Newest(self.samples.where(chosen), self.known_ns[chosen])
+        return Newest(self.samples.where(chosen), *(column[chosen] for column in self[1:]))
 
 
 class Events(NamedTuple):
@@ -155,7 +159,7 @@ class Events(NamedTuple):
 
 
 NO_NS = np.empty(0, np.int64)
-NO_NEWEST = Newest(NO_SAMPLES, NO_NS)
+NO_NEWEST = Newest(NO_SAMPLES, NO_NS, NO_NS, np.empty(0))
 NO_MEASURED = Measured(NO_SAMPLES, np.empty(0), NO_NS, NO_NS)
 NO_EVENTS = Events(NO_NEWEST, NO_SAMPLES, NO_NS, NO_MEASURED, ())
 
@@ -172,7 +176,7 @@ def joined_events(parts: Sequence[Events]) -> Events:
     return Events(
         Newest(
             joined_samples([some.samples for some in newest]),
-            np.concatenate([some.known_ns for some in newest]),
+            *map(np.concatenate, zip(*(some[1:] for some in newest), strict=True)),
         ),
         joined_samples([part.smoothed for part in parts]),
         np.concatenate([part.smoothed_ns for part in parts]),

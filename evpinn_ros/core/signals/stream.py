@@ -247,7 +247,7 @@ class SampleStream:
             newest.stamps, newest.known_ns, newest.speed, acceleration, newest.slopes,
             newest.motor_power,
         )  # fmt: skip
-        return Newest(samples, newest.known_ns)
+        return Newest(samples, newest.known_ns, newest.told_ns, newest.told_power)
 
     def _samples(
         self,
