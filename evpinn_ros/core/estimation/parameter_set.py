@@ -11,32 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from evpinn_ros.core.estimation.estimate import ParameterEstimate, ParameterSet, Trust
-from evpinn_ros.core.estimation.published import (
-    C_D,
-    C_RR,
-    ETA,
-    LOGARITHMIC,
-    MASS,
-    MU,
-    P_AUX,
-    Published,
-)
+from evpinn_ros.core.estimation.published import LOGARITHMIC, MU, P_AUX, Published
 from evpinn_ros.core.signals.detector import FAR_FROM_PRIOR
-from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, POWERS, Identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
 
 ESTIMATING_BELOW = 0.95  # of the prior's variance left in the combination, then learning shows
 VALID_BELOW = 0.25  # then the data determine the combination
 OWN_VALID_BELOW = 0.5  # of the parameter's own prior variance: more is mostly prior
 UNOBSERVABLE_ABOVE = 0.9  # then the data cannot determine the parameter
-# The identifiable combination on which each parameter rests, as weights of the logarithms.
-COMBINATIONS: Mapping[str, Mapping[int, float]] = {
-    "mass_over_eta": {MASS: 1.0, ETA: -1.0},
-    "drag_area_over_eta": {C_D: 1.0, ETA: -1.0},
-    "c_rr": {C_RR: 1.0},
-    "regeneration": {ETA: 1.0, MU: 1.0},
-    "p_aux": {P_AUX: 1.0},
-}
 RESTS_ON = {
     "eta": "mass_over_eta",
     "mu": "regeneration",
@@ -165,9 +148,8 @@ class TrustHysteresis:
 def _combined(source: Published) -> dict[str, _Combined]:
     """Mean, sigma and prior of each combination that the data can determine, by name."""
     combinations = {}
-    for name, weights in COMBINATIONS.items():
-        direction = np.zeros(len(PARAMETER_NAMES))
-        direction[list(weights)] = list(weights.values())
+    for name, powers in POWERS.items():
+        direction = np.array([powers.get(parameter, 0.0) for parameter in PARAMETER_NAMES])
         mean = float(direction @ source.now.mean)
         variance, before = (
             float(direction @ gaussian.covariance @ direction)

@@ -7,6 +7,7 @@ measured. The combinations below are what is left; absolute values need a prior 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
@@ -25,6 +26,14 @@ class Identifiable(NamedTuple):
 
 
 IDENTIFIABLE_NAMES = Identifiable._fields
+POWERS: Mapping[str, Mapping[str, float]] = {
+    "mass_over_eta": {"mass": 1.0, "eta": -1.0},
+    "drag_area_over_eta": {"c_d": 1.0, "eta": -1.0},
+    "c_rr": {"c_rr": 1.0},
+    "regeneration": {"eta": 1.0, "mu": 1.0},
+    "p_aux": {"p_aux": 1.0},
+}
+"""Powers of the parameters in each."""
 
 
 def identifiable(parameters: Parameters, area: float) -> Identifiable:
@@ -44,16 +53,9 @@ def prior_identifiable(vehicle: Vehicle) -> tuple[Identifiable, Identifiable]:
     Relative variances of products and quotients of independent quantities add up.
     """
     combined = identifiable(vehicle.initial, vehicle.frontal_area)
-    relative = {
-        name: prior.std / prior.value if prior.value else 0.0
-        for name, prior in vehicle.priors.items()
-    }
-    sigmas = Identifiable(
-        mass_over_eta=combined.mass_over_eta * math.hypot(relative["mass"], relative["eta"]),
-        drag_area_over_eta=combined.drag_area_over_eta
-        * math.hypot(relative["c_d"], relative["eta"]),
-        c_rr=vehicle.priors["c_rr"].std,
-        regeneration=combined.regeneration * math.hypot(relative["eta"], relative["mu"]),
-        p_aux=vehicle.priors["p_aux"].std,
-    )
-    return combined, sigmas
+    sigmas = []
+    for value, powers in zip(combined, POWERS.values(), strict=True):
+        priors = [vehicle.priors[name] for name in powers]
+        share = math.hypot(*(prior.std / prior.value for prior in priors if prior.value))
+        sigmas.append(value * share if value else priors[0].std)
+    return combined, Identifiable(*sigmas)

@@ -17,17 +17,18 @@ import numpy as np
 
 from evpinn_ros.core.estimation.evidence import LINEAR, NO_EVIDENCE, SIZE, Evidence, file_prior
 from evpinn_ros.core.vehicle.files import Vehicle, limits_of
+from evpinn_ros.core.vehicle.identifiable import POWERS
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES, Prior
 
 FILE_SHARE = 0.5  # of the vehicle file's variance that is doubt of the mean, the rest spread
 FILE_CARS = 0.25  # cars that the file's word on the spread is worth
 MOST_STEPS, PRECISE = 3000, 1e-7  # of the expectation maximisation; of the prior's variance
 
-# Sums of logarithms that data determine (`vehicle.identifiable`).
+# Sums of logarithms that data determine.
 COMBINATIONS = {
-    "mass_over_eta": {"mass": 1.0, "eta": -1.0},
-    "c_d_over_eta": {"c_d": 1.0, "eta": -1.0},
-    "regeneration": {"eta": 1.0, "mu": 1.0},
+    "mass_over_eta": POWERS["mass_over_eta"],
+    "c_d_over_eta": POWERS["drag_area_over_eta"],
+    "regeneration": POWERS["regeneration"],
 }
 
 

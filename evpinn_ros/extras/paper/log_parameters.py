@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from evpinn_ros.core.vehicle.files import Vehicle
+from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, POWERS
 from evpinn_ros.core.vehicle.parameters import LIMITS, Parameters
 from evpinn_ros.core.vehicle.physics import auxiliary_power
 
@@ -28,13 +29,7 @@ CONVERGED = 1e-5  # of z: far below any 1-sigma, and within reach of single prec
 LONGEST_STEP = 0.5  # of z: a Gauss-Newton step further than this leaves where it is valid
 LEAST_NOISE = 60.0  # W, 1-sigma of the residuals, however well the data fit
 CORRELATED_SAMPLES = 5.0  # samples of a 10 Hz stream that count as one
-# The combinations that enter eq. 21, as exponents of the parameters.
-COMBINATIONS: Mapping[str, Mapping[str, float]] = {
-    "mass_over_eta": {"mass": 1.0, "eta": -1.0},
-    "drag_area_over_eta": {"c_d": 1.0, "eta": -1.0},
-    "c_rr": {"c_rr": 1.0},
-    "regeneration": {"eta": 1.0, "mu": 1.0},
-}
+COMBINATIONS = {name: POWERS[name] for name in IDENTIFIABLE_NAMES if name != "p_aux"}
 
 Physics: TypeAlias = Callable[[torch.Tensor], torch.Tensor]  # power, shape (n,), at z
 
