@@ -34,6 +34,7 @@ FLOWS = (
     ("consumed", "regenerated"),
     ("out", "in"),
 )
+UNIT_WORDS, VALUE_WORDS = {"unit", "units", "einheit", "uom"}, {"value", "val", "wert"}
 LONGEST_LIST = 200  # characters of column names in a message
 EMPTY = "empty"
 NO_USE = "not needed"
@@ -141,7 +142,7 @@ def columns_by_name(
     if len({column.quantity for column in ours}) < len(ours):
         raise InputError("a column is there twice")
     quantities = {column.quantity for column in columns}
-    taken = {column.place for column in columns}
+    taken = {column.place for column in columns} | set(unit_places(header).values())
     app = app_of(header)
     # Beside our own names for what is needed, no other column is taken for that.
     decided = quantities | (NEEDED if is_complete(quantities) else frozenset())
@@ -176,6 +177,15 @@ def columns_by_name(
             quantities.add(quantity)
             taken.add(best)
     return columns
+
+
+def unit_places(header: Sequence[str]) -> dict[int, int]:
+    """Places of columns that hold the unit of another one, by the place of that."""
+    words = [words_of(name)[0].split() for name in header]
+    bare = [tuple(w for w in of if w not in UNIT_WORDS | VALUE_WORDS) for of in words]
+    units = {bare[i]: i for i, of in enumerate(words) if bare[i] and not UNIT_WORDS.isdisjoint(of)}
+    of_others = ((i, units.get(name)) for i, name in enumerate(bare))
+    return {i: place for i, place in of_others if place not in (None, i)}
 
 
 def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
@@ -213,9 +223,10 @@ def check_columns(
         say = " ".join(f"--column {name}=NAME" for name in missing)
         raise InputError(f"no column of {' and '.join(missing)}; {there}; say {say}")
     if battery and not is_complete(quantities):
+        say = "--column voltage=NAME --column current=NAME, or --column power=NAME"
         single = [name for name in ("voltage", "current") if name in quantities]
         lacks = f"a column of {single[0]} alone" if single else "no columns of voltage and current"
-        raise InputError(f"{lacks}, and none of power; {there}; say --column power=NAME")
+        raise InputError(f"{lacks}, and none of power; {there}; say {say}")
 
 
 def _chosen(text: str, header: Sequence[str]) -> Column:
