@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 import math
 
 import numpy as np
@@ -24,15 +25,11 @@ from evpinn_ros.logs.quantities import (
 from evpinn_ros.logs.signal import FloatArray, Signal
 
 SIGNED = ("current", "power")
-# How names of what is drawn differ from those of what flows back.
-FLOWS = (
-    ("discharge", "charge"),
-    ("discharging", "charging"),
-    ("discharged", "charged"),
-    ("drive", "regen"),
-    ("drawn", "returned"),
-    ("consumed", "regenerated"),
-    ("out", "in"),
+# How the name of what is drawn differs from that of what flows back: by any pair of these.
+DRAWN = ("discharge", "discharging", "discharged", "drive", "drawn", "consumed", "out", "output")
+BACK = (
+    *("charge", "charging", "charged", "regen", "regenerated", "regenerative", "regeneration"),
+    *("recuperation", "recuperated", "returned", "in", "input"),
 )
 UNIT_WORDS, VALUE_WORDS = {"unit", "units", "einheit", "uom"}, {"value", "val", "wert"}
 LONGEST_LIST = 200  # characters of column names in a message
@@ -194,7 +191,7 @@ def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
         return None
     names = [words_of(name) for name in header]
     words, brackets = names[place]
-    for drawn, back in FLOWS:
+    for drawn, back in product(DRAWN, BACK):
         other = words.replace(f" {drawn} ", f" {back} "), brackets
         if other[0] != words and other in names:
             return names.index(other)
