@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 import math
 
 import numpy as np
@@ -24,16 +25,13 @@ from evpinn_ros.logs.quantities import (
 from evpinn_ros.logs.signal import FloatArray, Signal
 
 SIGNED = ("current", "power")
-# How names of what is drawn differ from those of what flows back.
-FLOWS = (
-    ("discharge", "charge"),
-    ("discharging", "charging"),
-    ("discharged", "charged"),
-    ("drive", "regen"),
-    ("drawn", "returned"),
-    ("consumed", "regenerated"),
-    ("out", "in"),
+# How the name of what is drawn differs from that of what flows back: by any pair of these.
+DRAWN = ("discharge", "discharging", "discharged", "drive", "drawn", "consumed", "out", "output")
+BACK = (
+    *("charge", "charging", "charged", "regen", "regenerated", "regenerative", "regeneration"),
+    *("recuperation", "recuperated", "returned", "in", "input"),
 )
+UNIT_WORDS, VALUE_WORDS = {"unit", "units", "einheit", "uom"}, {"value", "val", "wert"}
 LONGEST_LIST = 200  # characters of column names in a message
 EMPTY = "empty"
 NO_USE = "not needed"
@@ -141,7 +139,7 @@ def columns_by_name(
     if len({column.quantity for column in ours}) < len(ours):
         raise InputError("a column is there twice")
     quantities = {column.quantity for column in columns}
-    taken = {column.place for column in columns}
+    taken = {column.place for column in columns} | set(unit_places(header).values())
     app = app_of(header)
     # Beside our own names for what is needed, no other column is taken for that.
     decided = quantities | (NEEDED if is_complete(quantities) else frozenset())
@@ -178,13 +176,22 @@ def columns_by_name(
     return columns
 
 
+def unit_places(header: Sequence[str]) -> dict[int, int]:
+    """Places of columns that hold the unit of another one, by the place of that."""
+    words = [words_of(name)[0].split() for name in header]
+    bare = [tuple(w for w in of if w not in UNIT_WORDS | VALUE_WORDS) for of in words]
+    units = {bare[i]: i for i, of in enumerate(words) if bare[i] and not UNIT_WORDS.isdisjoint(of)}
+    of_others = ((i, units.get(name)) for i, name in enumerate(bare))
+    return {i: place for i, place in of_others if place not in (None, i)}
+
+
 def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
     """Place of a column whose name is the same but for what flows back; None without one."""
     if quantity not in SIGNED:
         return None
     names = [words_of(name) for name in header]
     words, brackets = names[place]
-    for drawn, back in FLOWS:
+    for drawn, back in product(DRAWN, BACK):
         other = words.replace(f" {drawn} ", f" {back} "), brackets
         if other[0] != words and other in names:
             return names.index(other)
@@ -213,9 +220,10 @@ def check_columns(
         say = " ".join(f"--column {name}=NAME" for name in missing)
         raise InputError(f"no column of {' and '.join(missing)}; {there}; say {say}")
     if battery and not is_complete(quantities):
+        say = "--column voltage=NAME --column current=NAME, or --column power=NAME"
         single = [name for name in ("voltage", "current") if name in quantities]
         lacks = f"a column of {single[0]} alone" if single else "no columns of voltage and current"
-        raise InputError(f"{lacks}, and none of power; {there}; say --column power=NAME")
+        raise InputError(f"{lacks}, and none of power; {there}; say {say}")
 
 
 def _chosen(text: str, header: Sequence[str]) -> Column:

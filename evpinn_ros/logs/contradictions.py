@@ -33,8 +33,9 @@ LEAST_CLIPPED, CLIPPED = 10, 0.01  # values at the largest one, and their share
 BEYOND = 1.1  # of the largest power: what accelerating takes in the mean where it is clipped
 HARD_ON = 10_000.0  # W from which on the voltage of a battery falls by some V
 LIGHT_BELOW, HARD_ON_LIGHT = 60.0, 25.0  # V, and A of such a battery
-# Readings, and how much farther the last is than the one before: in the median, and of all.
-LEAST_TURNS, TURNS, TURN_OF_SPAN, TURN = 50, 5.0, 0.25, 0.01
+LEAST_TURNS, TURNS = 50, 100  # readings that tell whether two batteries take turns
+ONE_SIDED, TURN = 0.6, 0.01  # by chance at most 0.25 in given logs; of the value
+BEYOND_NEXT = 0.6  # of the change to the next but one: it is half of it where rows repeat
 CONSTANT = 1e-3  # of the voltage
 
 
@@ -129,14 +130,18 @@ def drawn_at_rest(drawn: Signal, speed: Signal) -> Iterator[str]:
 
 
 def takes_turns(signal: Signal) -> bool:
-    """True if readings are nearer to the one before the last than to the last, by far."""
-    value = signal.known
-    if value.size < LEAST_TURNS:
+    """True if every other reading is larger than those beside it, for long and by far."""
+    value = np.abs(signal.known)
+    away = value[1:-1] - 0.5 * (value[:-2] + value[2:])
+    size = min(TURNS, away.size)
+    if size < LEAST_TURNS:
         return False
-    last, before = (float(np.median(np.abs(value[by:] - value[:-by]))) for by in (1, 2))
-    span = float(np.ptp(np.quantile(value, (0.05, 0.95))))
-    is_swing = last > max(TURN_OF_SPAN * span, TURN * float(np.median(np.abs(value))))
-    return is_swing and last > TURNS * before
+    far = max(TURN * np.median(value), BEYOND_NEXT * np.median(np.abs(value[2:] - value[:-2])))
+    if np.median(np.abs(away)) <= far:
+        return False
+    sides = np.sign(away[::2][: away.size // 2]) - np.sign(away[1::2])
+    windows = 0.5 * sides[: sides.size // (size // 2) * (size // 2)].reshape(-1, size // 2)
+    return bool(np.median(np.abs(windows.mean(axis=1))) > ONE_SIDED)
 
 
 def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:

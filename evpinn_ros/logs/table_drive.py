@@ -36,6 +36,7 @@ from evpinn_ros.logs.column import (
     check_columns,
     columns_by_name,
     is_complete,
+    unit_places,
     unused_columns,
 )
 from evpinn_ros.logs.contradictions import contradictions, doubts
@@ -47,6 +48,7 @@ from evpinn_ros.logs.quantities import (
     QUANTITIES,
     Unit,
     is_engine_speed,
+    known_unit,
 )
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.rows_to_blocks import MOST, HeldSignals, RowBlocks, RowOrder
@@ -125,6 +127,7 @@ class TableDrive(Source):
             columns = self._named_columns(options)
             check_columns(columns, header, battery=options.battery)
             self._beside = power_beside(header, columns)
+            self._units = unit_places(header)
             engines = (place for place, name in enumerate(header) if is_engine_speed(name))
             self._engine = next(engines, None)  # its place, of a hybrid
             self._begin(columns, options)
@@ -164,7 +167,8 @@ class TableDrive(Source):
         self._contradictions: tuple[str, ...] = ()
         self._doubts: tuple[str, ...] = ()
         self.rules = self._ruled(columns, all_ours, stamps)
-        self.ignored = unused_columns(header, self.rules, self.clock.columns, survey.empty)
+        taken = {*self.clock.columns, *self._units.values()}
+        self.ignored = unused_columns(header, self.rules, taken, survey.empty)
         if self._long is not None:
             self.ignored |= dict.fromkeys(self._long.others, NO_USE)
         self._start_ns, self.dated = self._start(clocks, stamps)
@@ -290,6 +294,7 @@ class TableDrive(Source):
             sorted(
                 {column.place for column in (*columns, *filter(None, [self._beside]))}
                 | {column.back for column in columns if column.back is not None}
+                | {self._units[column.place] for column in columns if column.place in self._units}
                 | ({self._engine} if self._engine is not None else set())
             ),
             early=partial(self._clocks, columns),
@@ -458,7 +463,10 @@ class TableDrive(Source):
         used = {column.quantity: column for column in columns if column.quantity != "time"}
         times = _seconds(clock.running().add(stamps))
         beside = {"power": self._beside} if self._beside else {}
-        used = {name: self._with_what_flows_back(column) for name, column in used.items()}
+        used = {
+            name: self._with_unit_beside(self._with_what_flows_back(column))
+            for name, column in used.items()
+        }
         signals = self._signals({**used, **beside}, times)
         speed = used["speed"]
         self._backwards = speed.why != "as given" and is_backwards(signals["speed"])
@@ -508,6 +516,21 @@ class TableDrive(Source):
             return column
         is_pair = flows_one_way(self._surveyed(column.place), self._surveyed(column.back))
         return column if is_pair else replace(column, back=None)
+
+    def _with_unit_beside(self, column: Column) -> Column:
+        """The column in the unit that another one names; InputError if that changes."""
+        place = self._units.get(column.place)
+        if place is None or column.has_unit:
+            return column
+        name, cells = self._head.names[place], filled(self._survey.cells[place]).unique()
+        told = sorted(cell.strip().lower() for cell in cells)
+        units = {known_unit(column.quantity, text) for text in told}
+        if len(units) > 1 and None not in units:
+            raise InputError(
+                f"column {name!r}: rows are in {' and '.join(told)}: split the file there"
+            )
+        unit = units.pop() if units else None
+        return column.measured_in(told[0], unit, f"by {name!r}") if unit else column
 
     def _start(self, others: Sequence[Clock], stamps: Stamps) -> tuple[int, str]:
         """Offset to add to the times of the clock, ns, and the source of the date."""

@@ -108,6 +108,8 @@ def test_a_vehicle_of_limited_power_is_not_doubted(tmp_path):
 
 
 PAIRS = {
+    "discharge and charging": ("Battery discharge current (A)", "Battery charging current (A)"),
+    "drive and recuperation": ("Battery drive current (A)", "Battery recuperation current (A)"),
     "discharge and charge": ("HV Battery Discharge Current (A)", "HV Battery Charge Current (A)"),
     "camels": ("packDischargingCurrent (A)", "packChargingCurrent (A)"),
     "out and in": ("battery_current_out", "battery_current_in"),
@@ -244,6 +246,24 @@ def test_two_batteries_that_take_turns_are_doubted(tmp_path, by):
         return topics.BATTERY, message
 
     assert ("take turns" in doubts(bag_of(tmp_path, messages))) == (by != "swapped")
+
+
+@pytest.mark.parametrize("step", [0.2, 1.0, 2.0])
+@pytest.mark.parametrize("shares", [(0.6, 0.2), (0.6, 0.4), (0.5, 0.5)])
+@pytest.mark.parametrize("at_once", [True, False])
+def test_currents_of_two_batteries_in_turn_are_doubted(tmp_path, shares, step, at_once):
+    """Shares of one current, row by row: half and half is a table whose rows repeat."""
+    drive = simulated(count=300, step=step)
+    moments = range(drive.time.size)
+    turns = zip(np.repeat(moments, 2), shares * drive.time.size, strict=True)
+    lines = ["time (s),speed (km/h),voltage (V),current (A)"] + [
+        f"{drive.time[k]:.1f},{3.6 * drive.speed[k]:.2f},{drive.voltage[k]:.2f},"
+        f"{share * drive.current[k]:.3f}"
+        for k, share in turns
+        if at_once or share == shares[k % 2]  # in rows of their own, or of one moment
+    ]
+    source = opened(tmp_path, "\n".join(lines))
+    assert ("take turns" in doubts(source)) == (shares[0] != shares[1])
 
 
 AT_REST = {

@@ -9,10 +9,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from exports import START, measured, opened, simulated, table
 
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.readings import AuxiliaryReading, TemperatureReading
 from evpinn_ros.logs.column import columns_by_name
 
 DRIVE = simulated()
+SIGNALS = [column.tolist() for column in (DRIVE.time, DRIVE.speed, DRIVE.voltage, DRIVE.current)]
 LIGHT = simulated(mass=110.0, volts=84.0)
 RIGHT = pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
 
@@ -193,6 +195,38 @@ def test_json_in_levels_is_named_by_its_path(tmp_path, suffix, chosen):
     source = opened(tmp_path, lines, f"drive{suffix}", columns=chosen)
     assert measured(source) == RIGHT
     assert rule(source, "speed").name == "telemetry.kmh"
+
+
+@pytest.mark.parametrize("unit, factor", [("mph", 1 / 0.44704), ("km/h", 3.6), ("m/s", 1.0)])
+@pytest.mark.parametrize("form", ["beside", "before", "in levels"])
+def test_a_unit_in_a_column_of_its_own_is_used(tmp_path, form, unit, factor):
+    if form == "in levels":
+        rows = [
+            {"time": t, "speed": {"unit": unit, "value": factor * v}, "voltage": u}
+            | {"current": {"value": 1e3 * i, "uom": "mA"}}
+            for t, v, u, i in zip(*SIGNALS, strict=True)
+        ]
+        source = opened(tmp_path, json.dumps(rows), "drive.json")
+    else:
+        names = ["speed", "speed_unit"] if form == "beside" else ["Speed unit", "Speed value"]
+
+        def line(t, v, u, i, *_):
+            speed = f"{factor * v:.4f}", unit
+            cells = ",".join(speed if form == "beside" else speed[::-1])
+            return f"{t:.0f},{cells},{u:.3f},{1e3 * i:.1f},mA"
+
+        header = f"time,{','.join(names)},voltage,current,current units"
+        source = opened(tmp_path, table(header, DRIVE, line))
+    assert measured(source) == RIGHT and not any("is assumed" in note for note in source.notes)
+
+
+def test_a_unit_that_changes_on_the_way_is_refused(tmp_path):
+    def line(t, v, u, i, *_):
+        kmh, unit = (3.6 * v, "km/h") if t < 300 else (v / 0.44704, "mph")
+        return f"{t:.0f},{kmh:.2f},{unit},{u:.2f},{i:.2f}"
+
+    with pytest.raises(InputError, match="'speed unit': rows are in km/h and mph"):
+        opened(tmp_path, table("time,speed,speed unit,voltage,current", DRIVE, line))
 
 
 def test_a_current_without_a_value_is_told(tmp_path):
