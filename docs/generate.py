@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the p
 
 from docs import one_interval
 from docs.metric_table import METRICS
-import evpinn_ros
+from evpinn_ros import api
 from evpinn_ros.cli import options
 from evpinn_ros.cli.main import app
 from evpinn_ros.core.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
@@ -321,12 +321,11 @@ def commands_page() -> str:
 
 def api_page() -> str:
     """Signature and first sentence of each public name, and of what public classes have."""
-    names = [name for name in evpinn_ros.__all__ if not name.startswith("_")]
-    return "\n".join([MADE, API, *chain.from_iterable(map(_api_section, names))])
+    return "\n".join([MADE, API, *chain.from_iterable(map(_api_section, api.__all__))])
 
 
 def _api_section(name: str) -> Iterator[str]:
-    value = getattr(evpinn_ros, name)
+    value = getattr(api, name)
     calls = inspect.isfunction(value) or name in CALLED
     code = ["```python", _call(f"ev.{name}", value, wide=True), "```", ""] if calls else []
     yield from (f"## ev.{name}", "", *code, _first_sentence(value), "")
