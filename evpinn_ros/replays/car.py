@@ -28,6 +28,7 @@ from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
 from evpinn_ros.replays.totals import health, totals, with_left_out
+from evpinn_ros.replays.trends import trend_metrics
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
@@ -116,6 +117,7 @@ class CarReplay:
             "totals": self.totals(),
             "breakdown": self.breakdown(),
             "health": health(self.chain.account.gauge),
+            "trends": trend_metrics([replayed.drive for replayed in self.done]),
         }
 
     def at_next_drive(self) -> OnlineEstimator:
