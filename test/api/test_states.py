@@ -96,3 +96,8 @@ def test_damage_is_refused_with_what_to_do(tmp_path, content):
     with pytest.raises(ev.InputError) as refused:
         ev.Estimator(VEHICLE, state=path)
     assert str(refused.value).endswith(REMEDY)
+
+
+def test_a_file_that_is_not_there_is_refused_with_what_writes_it(tmp_path):
+    with pytest.raises(ev.InputError, match=r"no such file; a replay .* writes it$"):
+        ev.Estimator(VEHICLE, state=tmp_path / "car.json")
