@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the p
 
 from docs import one_interval
 from docs.metric_table import METRICS
-import evpinn_ros
+from evpinn_ros import api
 from evpinn_ros.cli import options
 from evpinn_ros.cli.main import app
 from evpinn_ros.core.estimation.posterior import DRIVE_KEPT, NETWORK_STDS
@@ -63,7 +63,7 @@ disk too. For scripts:
 
 | | |
 |---|---|
-| `--json FILE` of every command that has results (of `replay` also `--metrics`) | JSON beside \
+| `--json FILE` of every command that has results (of `replay` also `--metrics`, a table where FILE ends in `.csv`) | JSON beside \
 the tables; with `-` JSON on stdout, and tables on stderr |
 | `reproduce` | `results.json` in its folder |
 | `simulate` | `truth.yaml` in the bag |
@@ -91,8 +91,12 @@ not fit a CAN profile, which are counted ([CAN](../explanation/can.md#which-car-
 """
 READING = """\
 `evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive; for
-several, these as `drives`, and `totals`, `breakdown` and `health` of all. A part in <> stands for
-any name. Values that cannot be known are `null`, because
+several, these as `drives`, and `totals`, `breakdown`, `health` and `trends` of all. To a file that
+ends in `.csv` it writes a table: a column for each key, a row for each drive, and one of all.
+`trends` has a row for each week or temperature with consumption, rolling resistance and capacity,
+of three drives of a kilometre or more: `trend` (quantity and unit), `group`, `drives`,
+`distance_m`, `mean` (weighted by distance) and `spread` of single drives (1-sigma). A part in <>
+stands for any name. Values that cannot be known are `null`, because
 nothing was measured or the drive is too short. All scores of power and energy are
 predict-then-update: each sample is predicted before it is learned from. `power` scores
 `power/smoothed`, and `power_now` scores `power/predicted`, both after `--warm-up`. `withheld`
@@ -321,12 +325,11 @@ def commands_page() -> str:
 
 def api_page() -> str:
     """Signature and first sentence of each public name, and of what public classes have."""
-    names = [name for name in evpinn_ros.__all__ if not name.startswith("_")]
-    return "\n".join([MADE, API, *chain.from_iterable(map(_api_section, names))])
+    return "\n".join([MADE, API, *chain.from_iterable(map(_api_section, api.__all__))])
 
 
 def _api_section(name: str) -> Iterator[str]:
-    value = getattr(evpinn_ros, name)
+    value = getattr(api, name)
     calls = inspect.isfunction(value) or name in CALLED
     code = ["```python", _call(f"ev.{name}", value, wide=True), "```", ""] if calls else []
     yield from (f"## ev.{name}", "", *code, _first_sentence(value), "")

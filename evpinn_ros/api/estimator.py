@@ -89,7 +89,7 @@ class Estimator:
         """
         path = None if state is None else Path(state)
         if path is not None and not path.exists():
-            raise InputError(f"{path}: no such file")
+            raise InputError(f"{path}: no such file; a replay with this state writes it")
         car = CarReplay(vehicle, ReplayOptions(), mode=mode_of(mode), state=path)
         self.vehicle, self._car, self._chain = car.vehicle, car, car.chain
         self._mode = mode_of(mode)

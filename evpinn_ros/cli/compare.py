@@ -64,7 +64,7 @@ def compare(
         raise typer.BadParameter("two drives or more", param_hint="DRIVES...")
     check_outputs((report, json_file), (*drives, state, params, Path(vehicle)))
     if state is not None and not state.exists():
-        raise InputError(f"{state}: no such file")
+        raise InputError(f"{state}: no such file; evpinn replay --state writes it")
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
     sources = [car.open(path, read_options) for path in drives]

@@ -99,8 +99,10 @@ JSON_SUFFIXES = (".json", ".jsonl")
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_check_json_file)
 ]
+TABLE_SUFFIX = ".csv"
+_METRICS_HELP = f"{_JSON_HELP} A file that ends in {TABLE_SUFFIX} gets a table, a row each drive."
 MetricsOption = Annotated[
-    Path | None, typer.Option("--metrics", "--json", help=_JSON_HELP, callback=_check_json_file)
+    Path | None, typer.Option("--metrics", "--json", help=_METRICS_HELP, callback=_check_json_file)
 ]
 ReportOption = Annotated[
     Path | None, typer.Option(help="Write this HTML report.", callback=check_report)

@@ -15,6 +15,7 @@ from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
+    TABLE_SUFFIX,
     MetricsOption,
     ParamsOption,
     ReportOption,
@@ -27,7 +28,7 @@ from evpinn_ros.cli.table_columns import explain_columns, explain_notes
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem
-from evpinn_ros.common.writer import check_outputs
+from evpinn_ros.common.writer import check_outputs, write_file
 from evpinn_ros.core.estimation.estimator import Mode, PaperOptimizer
 from evpinn_ros.core.estimation.state_file import StateClaim
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -41,6 +42,7 @@ from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP, Replayed, ReplayOptions, has_battery, output_folders
 from evpinn_ros.replays.simulation.truth_file import read_truth
+from evpinn_ros.replays.totals import metrics_csv
 from evpinn_ros.report.breakdown_text import breakdown_columns, breakdown_lines, breakdown_rows
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.owner_text import (
@@ -325,7 +327,7 @@ def _write(
         (state, car.write_state),  # first, for it cannot be made again
         (
             metrics,
-            lambda path: write_json(path, car.metrics() if together else car.done[0].metrics),
+            lambda path: _write_metrics(path, car.metrics() if together else car.done[0].metrics),
         ),
         (report, lambda path: _write_report(path, car, units)),
     ]
@@ -339,6 +341,13 @@ def _write(
             problems += 1
             note(f"evpinn: {error}")
     return problems == 0
+
+
+def _write_metrics(path: Path, metrics: Mapping[str, Any]) -> None:
+    if path.suffix == TABLE_SUFFIX:
+        write_file(path, metrics_csv(metrics))
+    else:
+        write_json(path, metrics)
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:

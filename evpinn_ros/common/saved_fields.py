@@ -197,12 +197,12 @@ def is_within(value: Any) -> bool:
 
 
 def _refuse_another(saved: Any, before: Any) -> None:
-    names = getattr(before, "SAME", ())
-    wanted = {name: getattr(before, name) for name in names}
-    held = {name: saved.get(name) if isinstance(saved, Mapping) else None for name in names}
-    if held != wanted:
-        ours, other = (
-            ", ".join(f"{name} {reprlib.repr(value)}" for name, value in values.items())
-            for values in (held, wanted)
+    saved = saved if isinstance(saved, Mapping) else {}
+    wanted = {name: getattr(before, name) for name in getattr(before, "SAME", ())}
+    others = {name: saved.get(name) for name in wanted if saved.get(name) != wanted[name]}
+    if others:
+        held, ours = (
+            " and ".join(f"{name} {reprlib.repr(values[name])}" for name in others)
+            for values in (others, wanted)
         )
-        raise StateError(f"saved for {ours}, not for {other}")
+        raise StateError(f"saved for {held}, not for {ours}")

@@ -137,7 +137,8 @@ class StateFile:
         if self._path is not None:
             self._refused = _identity(self._path)
             if self._path.is_file():
-                problem += f"; it will be kept as {refused_names(self._path)[0].name}"
+                kept = refused_names(self._path)[0].name
+                problem += f"; its {self._half.value} half begins anew, the file is kept as {kept}"
         self.problem = problem
 
     def _set_refused_aside(self, path: Path) -> None:

@@ -11,13 +11,13 @@ from typing import Any
 
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.blas_threads import limit_blas_threads
-from evpinn_ros.common.errors import InputError, as_input_error
+from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.breakdown import EndedDrive
 from evpinn_ros.core.estimation.estimator import Mode, OnlineEstimator, PaperOptimizer
-from evpinn_ros.core.estimation.state_file import Half, read_half, write_halves
+from evpinn_ros.core.estimation.state_file import Half, read_for_a_person, read_half, write_halves
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.time_jump import JumpPolicy
 from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
@@ -28,6 +28,7 @@ from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
 from evpinn_ros.replays.totals import health, totals, with_left_out
+from evpinn_ros.replays.trends import trend_metrics
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_rule
@@ -116,6 +117,7 @@ class CarReplay:
             "totals": self.totals(),
             "breakdown": self.breakdown(),
             "health": health(self.chain.account.gauge),
+            "trends": trend_metrics([replayed.drive for replayed in self.done]),
         }
 
     def at_next_drive(self) -> OnlineEstimator:
@@ -147,9 +149,9 @@ def _restore(chain: Chain, state: Path | None) -> str | None:
     """Go on from a state file, if there; returns a line when half of it is missing."""
     if state is None:
         return None
-    learned, missing = read_half(state, Half.LEARNED)
-    counted, uncounted = read_half(state, Half.ENERGY)
-    with as_input_error(state, ValueError):
+    with read_for_a_person(state):
+        learned, missing = read_half(state, Half.LEARNED)
+        counted, uncounted = read_half(state, Half.ENERGY)
         if learned is not None:
             chain.estimator.restore(learned)
         if counted is not None:

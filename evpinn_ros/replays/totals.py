@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+import csv
 from datetime import datetime, timezone
+from io import StringIO
+from itertools import chain
 import math
 from typing import Any
 
@@ -64,6 +67,29 @@ def with_left_out(breakdown: Mapping[str, Any], total: Mapping[str, Any]) -> dic
     energy, measured = total["energy_kwh"], breakdown["measured"]["kwh"]
     left = None if energy is None or measured is None else energy - measured
     return {**breakdown, "left_out_kwh": left}
+
+
+def metrics_csv(metrics: Mapping[str, Any]) -> str:
+    """The metrics of drives as a table: a row each, and one of all; columns by dotted keys."""
+    drives = metrics.get("drives", [metrics])
+    rows = [dict(_leaves(drive)) for drive in drives]
+    if "drives" in metrics:
+        of_all = {"input": {"path": f"all {len(drives)}"}, **metrics, "drives": []}
+        rows.append(dict(_leaves(of_all)))
+    table = csv.DictWriter(text := StringIO(), list(dict.fromkeys(chain.from_iterable(rows))))
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()
+
+
+def _leaves(metrics: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Values by the keys that lead to them; lists have no place in a row."""
+    for key, value in metrics.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{path}{key}.")
+        elif not isinstance(value, list | tuple):
+            finite = not isinstance(value, float) or math.isfinite(value)
+            yield f"{path}{key}", value if finite else None
 
 
 def _kwh(joules: float | None) -> float | None:

@@ -78,6 +78,23 @@ def trends(points: Sequence[DrivePoint], units: Units = METRIC) -> list[Trend]:
     return [trend for trend in candidates if len(trend.rows) > 1]
 
 
+def trend_metrics(drives: Iterable[Drive]) -> list[dict[str, Any]]:
+    """Values of `--metrics` of several drives under `trends`: a row for each group."""
+    points = [point for drive in drives if (point := drive_point(drive)) is not None]
+    return [
+        {
+            "trend": trend.title,
+            "group": row.name,
+            "drives": row.drives,
+            "distance_m": row.distance,
+            "mean": row.mean,
+            "spread": row.spread,
+        }
+        for trend in trends(points)
+        for row in trend.rows
+    ]
+
+
 def drive_point(drive: Drive) -> DrivePoint | None:
     """The point of a drive; None of one shorter than `LEAST_DISTANCE`."""
     steps = measured_steps(drive)

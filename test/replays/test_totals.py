@@ -1,7 +1,11 @@
 """Totals in `--metrics` are those of the texts: of one drive, and of several."""
 
+import csv
 from datetime import datetime, timedelta
+from fnmatch import fnmatch
+import math
 from pathlib import Path
+import re
 import sys
 
 import pytest
@@ -9,8 +13,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "logs"))
 from exports import simulated
 
+from docs.metric_table import METRICS
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.run import ReplayOptions
+from evpinn_ros.replays.totals import metrics_csv
 from evpinn_ros.report.breakdown_text import breakdown_lines
 from evpinn_ros.report.owner_text import drives_rows, owner_line
 
@@ -54,6 +60,16 @@ def test_totals_of_two_drives_add_up(tmp_path):
         assert of_one["totals"]["energy_kwh"] == pytest.approx(drive.energy / 3.6e6, rel=1e-3)
     starts = [of_one["totals"]["start"] for of_one in metrics["drives"]]
     assert starts == ["2024-03-05T08:00:00", "2024-03-05T13:00:00"]
+    table = [*csv.DictReader(metrics_csv(metrics).splitlines())]
+    assert [row["input.path"] for row in table][2:] == ["all 2"]
+    for row, of_one in zip(table, (*metrics["drives"], metrics), strict=True):
+        assert float(row["totals.energy_kwh"]) == of_one["totals"]["energy_kwh"]
+        assert float(row["breakdown.air.kwh"]) == of_one["breakdown"]["air"]["kwh"]
+    assert float(table[-1]["health.percent"] or "nan") == pytest.approx(
+        metrics["health"]["percent"] or math.nan, nan_ok=True
+    )
+    known = {re.sub("<.*?>", "*", metric.key) for metric in METRICS}
+    assert all(any(fnmatch(key, pattern) for pattern in known) for key in table[0])
     total = metrics["totals"]
     for name in ("distance_m", "duration_s", "energy_kwh", "charged_kwh"):
         sum_of_both = sum(of_one["totals"][name] for of_one in metrics["drives"])

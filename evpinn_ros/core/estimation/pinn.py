@@ -78,7 +78,6 @@ class SavedPinn:
     grade: GradeDetector
     current_suspicion: SignDetector
     seen_ns: Stamp | None
-    # Of another name than `unevenness`, a table by states that older files hold.
     uneven: Unevenness = field(default_factory=Unevenness.none)
 
 

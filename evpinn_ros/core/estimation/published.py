@@ -31,7 +31,6 @@ from evpinn_ros.core.estimation.posterior import CarState, PassedInterval, initi
 from evpinn_ros.core.estimation.states import NAMES, PHYSICS, SIZE, State, known_names
 from evpinn_ros.core.estimation.terms import (
     BESIDE,
-    NETWORK_WEIGHTS,
     TYRES,
     WARM,
     Equation,
@@ -40,7 +39,6 @@ from evpinn_ros.core.estimation.terms import (
 )
 from evpinn_ros.core.signals.road import Conditions
 
-UNNAMED = [State.FORCE_SQUARED, State.TURNING, *NETWORK_WEIGHTS]  # in files that name none
 DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
 # Power that no state explains, as density, W^2 s: with less the projection is not determined.
 NOISE_DENSITY = 2.7e5
@@ -84,15 +82,12 @@ class Driven:
     load_known: bool = False
     unseen: Annotated[float, Range(0.0, 1.0)] | None = None
     returned: Annotated[float, Range(0.0, 1e15)] | None = None
-    names: tuple[str, ...] = tuple(NAMES[state] for state in UNNAMED)
+    names: tuple[str, ...] = tuple(NAMES[state] for state in BESIDE)
 
     @classmethod
     def nowhere(cls) -> Driven:
         """Sums over no step, with the names of this version."""
-        names = tuple(NAMES[state] for state in BESIDE)
-        return cls(
-            np.zeros((4, 4)), np.zeros((4, len(names))), np.zeros(3), returned=0.0, names=names
-        )
+        return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3), returned=0.0)
 
     def of_this_version(self) -> Driven:
         """Driving that was saved, with zeros for a state that the file lacks; ValueError."""

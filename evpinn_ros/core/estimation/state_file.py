@@ -9,8 +9,8 @@ they are read.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from enum import Enum
 from itertools import pairwise
 import json
@@ -48,6 +48,7 @@ class Half(str, Enum):
 LOCK = ".evpinn-lock-"
 """Begin of a lock's name: as short as that, for the file's own name may be as long as can be."""
 KEYS = {half.value for half in Half}
+REMEDY = "give another file, or rename this one: the car is then learned anew"
 
 
 class StateClaim:
@@ -159,13 +160,24 @@ def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
     return None, f"{path}: holds no '{half.value}' of the car, which begins anew; the rest is used"
 
 
+@contextmanager
+def read_for_a_person(path: Path) -> Iterator[None]:
+    """Say what to do where a block refuses a state; nodes go on without one themselves."""
+    try:
+        yield
+    except (InputError, ValueError) as error:
+        text = str(error) if str(path) in str(error) else f"{path}: {error}"
+        raise InputError(f"{text}; {REMEDY}") from error
+
+
 def vehicle_of(path: Path) -> str | None:
     """The vehicle that a saved state is of; None where it says none.
 
     Raises:
         InputError: as of `read_half`.
     """
-    learned, _ = read_half(path, Half.LEARNED)
+    with read_for_a_person(path):
+        learned, _ = read_half(path, Half.LEARNED)
     vehicle = (learned or {}).get("vehicle")
     return vehicle if isinstance(vehicle, str) else None
 

@@ -58,7 +58,7 @@ def reproduce(
     Shows the tables II, IV, V and VI and the figures 5, 8 and 9 (for a Model S table III and
     figures 6, 8 and 10) beside the numbers of the paper. Adds what the paper leaves out: a
     baseline, a chronological split, its published parameters on this drive, and least squares. It
-    takes half an hour of one processor, with --quick a minute or two. If you stop it, the same
+    takes half an hour of one processor, with --quick up to five minutes. If you stop it, the same
     command continues.
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick

@@ -13,7 +13,6 @@ from evpinn_ros.common.saved_fields import StateError, plain, read
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.pinn import PinnLearner
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
-from evpinn_ros.core.estimation.published import UNNAMED
 from evpinn_ros.core.estimation.saved_car import saved_state, state_of
 from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SAVED_BEFORE, SIZE, State
 from evpinn_ros.core.estimation.terms import BESIDE, equation_of
@@ -190,29 +189,15 @@ def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
     assert older.export()["car"]["names"] == [*NAMES]
 
 
-def test_driving_of_a_file_without_names_has_those_of_that_version(saved):
-    """And of a state that the file lacks it has nothing."""
+def test_of_a_state_that_a_file_lacks_its_driving_has_nothing(saved):
     older, learner, cross = deepcopy(saved), PinnLearner(CAR), np.array(saved["driven"]["cross"])
-    there = [BESIDE.index(state) for state in UNNAMED]
-    assert cross[:, there].any(0).all()
-    older["driven"]["cross"] = cross[:, there].tolist()
-    del older["driven"]["names"]
-    learner.restore(older)
-    found = np.array(learner.export()["driven"]["cross"])
-    assert (found[:, there] == cross[:, there]).all()
+    assert cross[:, BESIDE.index(State.TURNING)].any()
     learner.restore(without(saved, State.TURNING))
     cross[:, BESIDE.index(State.TURNING)] = 0.0
     assert learner.export()["driven"]["cross"] == cross.tolist()
     del older["driven"]["cross"][0][-1]
     with pytest.raises(StateError):
         learner.restore(older)
-
-
-def test_a_car_whose_unevenness_was_a_table_of_states_goes_on_without(saved):
-    older = PinnLearner(CAR)
-    table = {key: value for key, value in saved.items() if key != "uneven"}
-    older.restore({**table, "unevenness": {"metres": [[1.0]], "rows": [2.0], "squares": 1e11}})
-    assert (older.model().unevenness.factors(EQUATION) == 1.0).all()
 
 
 def shorter(car: dict, name: str, _: float) -> None:
