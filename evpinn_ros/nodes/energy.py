@@ -60,7 +60,7 @@ from evpinn_ros.topics.readings import ChargeScale, battery_message, to_reading
 from evpinn_ros.topics.settings import jump_rule
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
-COUNT_PERIOD = 0.2  # s; to count many powers costs as much as to count one
+COUNT_PERIOD = 0.5  # s; to count many powers costs as much as to count one
 
 
 class EnergyNode(GuardedNode):
@@ -192,7 +192,7 @@ class EnergyNode(GuardedNode):
                 self._after_counting(self.account.begin_readings_anew)
             elif self.account.admission.admits(passed):
                 self.account.add_reading(passed)
-                if isinstance(passed, BatteryReading) and why_impossible(passed) is None:
+                if isinstance(passed, BatteryReading):
                     self._count_missed(self._standby.take(passed, self.steady_s()))
 
     def _on_model(self, message: Any) -> None:

@@ -211,8 +211,8 @@ class _Waiting:
         """All of a kind, in order of stamps."""
         new = self._new[kind]
         if rows := self._rows[kind]:
-            stamps, *values = zip(*rows, strict=True)
-            new.append(_Columns(np.array(stamps, np.int64), np.array(values)))
+            moments, *columns = zip(*rows, strict=True)
+            new.append(_Columns(np.array(moments, np.int64), np.array(columns)))
             rows.clear()
         if not new:
             return _Columns(np.empty(0, np.int64), np.empty((WIDTHS[kind], 0)))
