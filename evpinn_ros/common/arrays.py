@@ -12,7 +12,7 @@ Columns = TypeVar("Columns", bound=tuple[Any, ...])
 
 def namespace(array: Any) -> Any:
     """numpy, or torch for its tensors."""
-    if type(array).__module__.partition(".")[0] != "torch":
+    if type(array) is np.ndarray or type(array).__module__.partition(".")[0] != "torch":
         return np
     import torch
 

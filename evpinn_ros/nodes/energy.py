@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy, deepcopy
 from functools import partial
 import math
@@ -21,12 +21,11 @@ from evpinn_ros.core.energy.plan import PlanError
 from evpinn_ros.core.energy.remaining import usual_cost
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.energy.standby import MeasuredPower, Standby
-from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.state_file import Half
 from evpinn_ros.core.signals.admission import CarLimits
-from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import BatteryReading, why_impossible
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
+from evpinn_ros.core.signals.track import LATER
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.base import NOT_ACTIVE, GuardedNode
 from evpinn_ros.nodes.diagnosis import WELL, Status
@@ -61,6 +60,7 @@ from evpinn_ros.topics.readings import ChargeScale, battery_message, to_reading
 from evpinn_ros.topics.settings import jump_rule
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
+COUNT_PERIOD = 0.5  # s; to count many powers costs as much as to count one
 
 
 class EnergyNode(GuardedNode):
@@ -80,7 +80,11 @@ class EnergyNode(GuardedNode):
         # The one tells what forecasts rest on, the other answers in its thread.
         self.forecaster, self._desk = Forecaster(vehicle), PlanDesk(Forecaster(vehicle))
         account = self.account
-        actions = Actions(self._reset, account.begin_next_trip, account.begin_after_jump)
+        anew, hold = (
+            partial(self._after_counting, begin)
+            for begin in (account.begin_next_trip, account.begin_after_jump)
+        )
+        actions = Actions(self._reset, anew, hold)
         self.kept = Keeper(self, account, Half.ENERGY, (topics.POWER_SMOOTHED,), actions)
         # Of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard, self._charge_scale = StampGuard(topics.SPEED), ChargeScale()
@@ -88,6 +92,7 @@ class EnergyNode(GuardedNode):
         self._standby = Standby(self.steady_s())
         self.plans = PlanLog()
         self.advertise(*PUBLISHES)
+        self.every(COUNT_PERIOD, self.count)
         for topic in (topics.POWER_MEASURED, topics.POWER_SMOOTHED):
             self.listen(topic, partial(self._take_power, topic))
         self.listen(topics.IDENTIFIABLE, self._on_identifiable)
@@ -127,18 +132,19 @@ class EnergyNode(GuardedNode):
 
     def end(self) -> str | None:
         """Write totals and account; returns why they could not be written."""
+        self.count()
         self.account.flush()
         return self.kept.save()
 
     def _reset(self) -> str:
-        self.account.reset_trip()
+        self._after_counting(self.account.reset_trip)
         return "energy counts from zero; the lifetime's goes on"
 
     def _take_power(self, topic: Topic, message: Any) -> None:
         estimate = read_power(topic, message)
         self._count_missed(self._standby.hear(estimate.stamp_ns, self.steady_s()))
         for admitted in self.kept.in_order(topic, estimate.stamp_ns, estimate):
-            self._count(admitted)
+            self.account.add_power(admitted)
 
     def _count_missed(self, powers: list[MeasuredPower]) -> None:
         """Count what the battery told while the estimator was away."""
@@ -148,14 +154,15 @@ class EnergyNode(GuardedNode):
         self.account.flush()
         self._publish_account(self.account.state)
 
-    def _count(self, estimate: PowerEstimate) -> None:
-        rest = estimate.energy_sigma, estimate.energy
-        row = estimate.stamp_ns, estimate.power, estimate.sigma
-        if estimate.kind is PowerKind.MEASURED:
-            self.account.add_measured(*map(np.atleast_1d, row))
-            return
-        self.account.add_predicted(*map(np.atleast_1d, (*row, *rest)))
+    def count(self) -> None:
+        """Count what came, and publish the states, and the summary once a second of stamps."""
+        while (due_ns := self.account.summary_due_ns()) != LATER:
+            self._publish_account(*self.account.count(due_ns).rows())
         self._publish_account(*self.account.count().rows())
+
+    def _after_counting(self, begin: Callable[[], None]) -> None:
+        self.count()
+        begin()
 
     def _publish_account(self, *states: EnergyState) -> None:
         """Publish states, and the summary once a second."""
@@ -182,10 +189,10 @@ class EnergyNode(GuardedNode):
         rule = jump_rule(self.values)
         for passed in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
             if isinstance(passed, Jump):  # what the policy says is done when power jumps
-                self.account.begin_readings_anew()
+                self._after_counting(self.account.begin_readings_anew)
             elif self.account.admission.admits(passed):
-                self.account.add_block(Block.of([passed]))
-                if isinstance(passed, BatteryReading) and why_impossible(passed) is None:
+                self.account.add_reading(passed)
+                if isinstance(passed, BatteryReading):
                     self._count_missed(self._standby.take(passed, self.steady_s()))
 
     def _on_model(self, message: Any) -> None:

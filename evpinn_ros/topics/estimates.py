@@ -167,13 +167,13 @@ def _vector(new: NewMessage, stamp_ns: int, values_by_name: Mapping[str, Uncerta
 def read_power(topic: Topic, message: Any) -> PowerEstimate:
     """Power of one of `POWER_TOPICS`, and the energy predicted without a battery beside it."""
     vector = read_named_vector(message)
-    if POWER not in vector.values:
+    values, sigmas = vector.values, vector.sigmas
+    if POWER not in values:
         raise BadMessage("no_power")
-    numbers = [
-        column.get(name, math.nan)
-        for name in (POWER, UNMEASURED_ENERGY)
-        for column in (vector.values, vector.sigmas)
-    ]
+    numbers = values[POWER], sigmas.get(POWER, math.nan), math.nan, math.nan
+    if UNMEASURED_ENERGY in values:
+        energy = values[UNMEASURED_ENERGY], sigmas.get(UNMEASURED_ENERGY, math.nan)
+        numbers = (*numbers[:2], *energy)
     return PowerEstimate(POWER_KINDS[topic], vector.stamp_ns, *numbers)
 
 

@@ -85,18 +85,20 @@ def named_vector(
 
     Effort stays empty when a sigma is unknown (NaN).
     """
-    rates = () if rates is None else rates
-    if sigmas is None or any(math.isnan(sigma) for sigma in sigmas):
-        sigmas = ()
-    if len(values) != len(names) or any(len(x) not in (0, len(names)) for x in (rates, sigmas)):
+    rates = [] if rates is None else rates
+    if sigmas is None or any(map(math.isnan, sigmas)):
+        sigmas = []
+    if {len(names)} != {len(values), len(rates) or len(names), len(sigmas) or len(names)}:
         raise ValueError(f"{len(names)} names do not fit the values, sigmas or rates")
+    if not all(map(math.isfinite, (*values, *rates, *sigmas))) or min(sigmas, default=0.0) < 0.0:
+        raise ValueError(f"{values}, {rates} or {sigmas} are not finite, or no sigmas")
     return new(
         topics.NAMED_VECTOR_TYPE,
         header=header(new, stamp_ns),
         name=list(names),
-        position=[finite(value) for value in values],
-        velocity=[finite(rate) for rate in rates],
-        effort=[not_negative(sigma) for sigma in sigmas],
+        position=list(map(float, values)),
+        velocity=list(map(float, rates)),
+        effort=list(map(float, sigmas)),
     )
 
 
@@ -159,9 +161,12 @@ def read_named_vector(message: Any) -> NamedVector:
 
 
 def _by_name(names: Sequence[str], numbers: Sequence[float]) -> dict[str, float]:
-    if len(numbers) not in (0, len(names)) or len(set(names)) != len(names):
+    by_name = dict(zip(names, map(float, numbers), strict=False))
+    if len(numbers) and not len(names) == len(numbers) == len(by_name):
         raise BadMessage("lengths_differ")
-    return {name: usable(number) for name, number in zip(names, numbers, strict=False)}
+    if not all(map(math.isfinite, by_name.values())):
+        raise BadMessage("not_finite")
+    return by_name
 
 
 def usable(value: float) -> float:

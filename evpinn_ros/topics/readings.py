@@ -311,6 +311,8 @@ class ChargeScale:
             return reading
         if reading.state_of_charge > OVERFULL:
             self._full = 100.0
+        if self._full == 1.0 and reading.state_of_charge <= 1.0:
+            return reading
         charge = reading.state_of_charge / self._full
         return replace(reading, state_of_charge=charge if charge <= 1.0 else math.nan)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, PaperOptimizer
@@ -39,4 +40,9 @@ def imu_mounting(values: Mapping[str, Any]) -> Rotation | None:
 
 def jump_rule(values: Mapping[str, Any]) -> JumpRule:
     """Rule for jumps of time, from all parameters of a node."""
-    return JumpRule(JumpPolicy(values["time_jump_policy"]), values["time_jump_threshold"])
+    return _jump_rule(values["time_jump_policy"], values["time_jump_threshold"])
+
+
+@cache  # it is asked for with every message
+def _jump_rule(policy: str, threshold: float) -> JumpRule:
+    return JumpRule(JumpPolicy(policy), threshold)

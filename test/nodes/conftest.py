@@ -248,7 +248,10 @@ class Bench:
         return taken_any
 
     def settle(self) -> None:
-        """Let every listener hear all that the nodes under test have published."""
+        """Let every listener hear all that the nodes under test have to publish."""
+        for node in self.nodes:
+            if isinstance(node, EnergyNode):
+                node.count()
         sent = sum((node.published for node in self.nodes), Counter())
         topics = self.heard.keys() - {DIAGNOSTICS}  # a report of the timer may come in between
         self.pump(lambda: all(len(self.heard[topic]) == sent[topic] for topic in topics))

@@ -27,6 +27,7 @@ def drive(bench, node, seconds, *, battery=True):
             bench.read(node, BatteryReading(stamp, 350.0, -POWER / 350.0, 0.8))
             bench.deliver(node, topics.POWER_MEASURED, power(stamp, POWER))
         bench.deliver(node, topics.POWER_SMOOTHED, power(stamp, POWER + 1e3))
+        node.count()
 
 
 def values(message):

@@ -39,10 +39,16 @@ from evpinn_ros.core.energy.remaining import (
     remaining,
 )
 from evpinn_ros.core.energy.trip import WINDOWS, SavedTrip, Stretch, TripLog
+from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.outputs import PowerRows
 from evpinn_ros.core.signals.admission import ANY_CAR, MAX_POWER, Admission, CarLimits
 from evpinn_ros.core.signals.block import Block
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    BatteryReading,
+    Reading,
+    SpeedReading,
+)
 from evpinn_ros.core.signals.track import LATER, NEVER
 
 STATE_VERSION = 1
@@ -182,6 +188,8 @@ class _Waiting:
 
     def __init__(self) -> None:
         self._new: dict[_Kind, list[_Columns]] = {kind: [] for kind in _Kind}
+        # Stamp and values of those that came one by one: arrays are made of many at once.
+        self._rows: dict[_Kind, list[tuple[float, ...]]] = {kind: [] for kind in _Kind}
         self.newest_ns = dict.fromkeys(_Kind, NEVER)
 
     def add(self, kind: _Kind, stamps: np.ndarray, values: np.ndarray) -> None:
@@ -190,9 +198,22 @@ class _Waiting:
             self._new[kind].append(_Columns(stamps, values))
             self.newest_ns[kind] = max(self.newest_ns[kind], int(stamps.max()))
 
+    def __bool__(self) -> bool:
+        return any(self._new.values()) or any(self._rows.values())
+
+    def add_row(self, kind: _Kind, stamp_ns: int, *values: float) -> None:
+        """Take one of a kind."""
+        self._rows[kind].append((stamp_ns, *values))
+        if stamp_ns > self.newest_ns[kind]:
+            self.newest_ns[kind] = stamp_ns
+
     def sorted(self, kind: _Kind) -> _Columns:
         """All of a kind, in order of stamps."""
         new = self._new[kind]
+        if rows := self._rows[kind]:
+            moments, *columns = zip(*rows, strict=True)
+            new.append(_Columns(np.array(moments, np.int64), np.array(columns)))
+            rows.clear()
         if not new:
             return _Columns(np.empty(0, np.int64), np.empty((WIDTHS[kind], 0)))
         if len(new) > 1:
@@ -323,6 +344,17 @@ class EnergyAccount(Saveable[SavedAccount]):
         rest = energy, energy_sigma
         self._add_powers(_Kind.PREDICTED, MAX_POWER, stamps, power, sigma, *rest)
 
+    def add_power(self, estimate: PowerEstimate) -> None:
+        """Take one power of the estimator, as it comes."""
+        power, sigma = estimate.power, estimate.sigma
+        values = power, sigma, estimate.energy, estimate.energy_sigma
+        is_measured = estimate.kind is PowerKind.MEASURED
+        if _is_possible(power, sigma, self.admission.limits.power if is_measured else MAX_POWER):
+            kind = _Kind.MEASURED if is_measured else _Kind.PREDICTED
+            self._waiting.add_row(kind, estimate.stamp_ns, *values)
+        else:
+            self.refused["power_out_of_range"] += 1
+
     def _add_powers(
         self, kind: _Kind, most: float, stamps: np.ndarray, *columns: np.ndarray
     ) -> None:
@@ -341,6 +373,14 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._waiting.add(_Kind.SPEED, speeds.stamps, speeds.values[:1])
         self._waiting.add(_Kind.BATTERY, battery.stamps, battery.values[:3])
 
+    def add_reading(self, reading: Reading) -> None:
+        """Take one admitted reading, as it comes."""
+        if isinstance(reading, SpeedReading):
+            self._waiting.add_row(_Kind.SPEED, reading.stamp_ns, reading.speed)
+        elif isinstance(reading, BatteryReading):
+            values = reading.voltage, reading.current, reading.state_of_charge
+            self._waiting.add_row(_Kind.BATTERY, reading.stamp_ns, *values)
+
     @property
     def _until_ns(self) -> int:
         """Up to here all has come: predictions, or what is some seconds ahead of them."""
@@ -355,6 +395,8 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def count(self, until_ns: int = LATER) -> EnergyState:
         """Count what waits, up to a stamp; returns the states at each prediction of it."""
+        if not self._waiting:
+            return NO_STATES
         corrections, course = self._count(min(until_ns, self._until_ns)), self.meter.course
         if not len(course.predicted.stamp_ns):
             return NO_STATES
@@ -633,5 +675,5 @@ class EnergyAccount(Saveable[SavedAccount]):
 
 def _is_possible(power: Any, sigma: Any, most: float) -> Any:
     """Whether power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
-    unknown = np.isnan(sigma)
-    return (np.abs(power) <= most) & (unknown | ((sigma >= 0.0) & (sigma <= MAX_POWER)))
+    known = (sigma >= 0.0) & (sigma <= MAX_POWER)
+    return (abs(power) <= most) & (known | (sigma != sigma))

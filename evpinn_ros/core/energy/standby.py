@@ -31,10 +31,12 @@ class Standby:
     def hear(self, stamp_ns: int, now: float) -> list[MeasuredPower]:
         """Take a stamp of the estimator; give what it missed before that while it was away."""
         away, self._heard = now - self._heard > AWAY, now
-        missed = [reading for reading in self._waiting if reading.stamp_ns < stamp_ns]
+        missed: list[BatteryReading] = []
+        if away:
+            missed = [reading for reading in self._waiting if reading.stamp_ns < stamp_ns]
         while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
             self._waiting.popleft()
-        return [*_powers(missed)] if away else []
+        return [*_powers(missed)]
 
     def take(self, reading: BatteryReading, now: float) -> list[MeasuredPower]:
         """Take a reading; give all that wait while the estimator is away."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
 import math
-from operator import itemgetter, mul
+from operator import mul
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -271,6 +271,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._persistence = Persistence()
         # Stamps at which the battery measured power, from the last before the smoothed samples.
         self._told_ns = np.array([NEVER])
+        self._ready: list[tuple[int, Interval]] = []  # for the next tick, and since when
         self._waiting = False
         self._news = False  # whether there is anything that no update has seen
         self._predictions = dict.fromkeys(self._bands, NO_PREDICTIONS)
@@ -297,8 +298,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Learn what waits for more of a drive that is over; gives the parameters then."""
         self.flush()
         self._find_size()
-        for interval in self._stream.finish():
+        for interval in (*(ready for _, ready in self._ready), *self._stream.finish()):
             self._add_interval(interval, self._stuck.verdict)
+        self._ready = []
         self._tick(self._clock)  # takes the update before and begins the last
         return self._similarity.estimate(self._tick(self._clock))
 
@@ -344,8 +346,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             some tenths of a second.
         """
         self._tells_breakdown = breakdowns
-        if isinstance(reading, BatteryReading):
-            reading = replace(reading, stamp_ns=reading.stamp_ns + self._aligner.shift_ns)
+        shift_ns = self._aligner.shift_ns
+        if shift_ns and isinstance(reading, BatteryReading):
+            reading = replace(reading, stamp_ns=reading.stamp_ns + shift_ns)
         known_ns = self._buffer.watermark_ns  # before it
         used, released = self._buffer.add_reading(reading)
         now: PowerEstimate | None = None
@@ -417,15 +420,14 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             self._predictions[kind] = self._predictions[kind].and_then(Waiting(*columns))
             self._predicted.clear()
         parts = []
-        while True:
-            due_ns = LATER if self._sizing is None else self._sizing.due_ns(block)
+        while self._sizing is not None and (due_ns := self._sizing.due_ns(block)) != LATER:
             part, block = block.until(due_ns)
             predicted, newest = newest.until(due_ns)
-            if part.length or len(predicted.stamps):
-                parts.append(self._add(part, predicted))
-            if due_ns == LATER:
-                return joined_outputs(parts)
+            parts.append(self._add(part, predicted))
             self._find_size()
+        if block.length or len(newest.stamps):
+            parts.append(self._add(block, newest))
+        return joined_outputs(parts)
 
     def _find_size(self) -> None:
         """Learn this drive anew once its vehicle is seen to be of another size than the file's."""
@@ -462,7 +464,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         alignments = [(NEVER, self._aligner.now)]
         if self._settings.mode is not Mode.PAPER:
             alignments += self._aligner.learn(block)
-        events = self._stream.add(block, newest)
+        begun = self._seconds_begun(block.of_kind(SpeedReading).stamps)
+        events = self._stream.add(block, newest, intervals=len(begun) > 0)
         told_ns = np.append(self._told_ns, self._stamps_told(block, course))
         passed = told_ns.searchsorted(events.smoothed.stamp_ns[-1:], side="right")
         self._told_ns = told_ns[max(0, *(passed - 1)) :] if len(passed) else told_ns
@@ -471,7 +474,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         checkable = admitted(measured)
         self._seen.add(measured.samples.where(checkable & self.enabled))
         span = _span(events, learned_from, told_ns)
-        ticks = self._ticks(block.of_kind(SpeedReading).stamps, alignments)
+        self._ready += events.intervals
+        ticks = self._ticks(begun, alignments)
         predictions, learned = self._learn(span, events, learned_from, course, ticks)
         newest_rows = self._calibrated(
             PowerKind.PREDICTED, events.newest.samples, events.newest.samples.stamp_ns,
@@ -544,24 +548,23 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         course: VerdictCourse,
         ticks: Sequence[_Clock],
     ) -> tuple[Predictions, list[Learned]]:
-        """Process the block's samples, intervals and ticks in order of stamps."""
+        """Process the block's samples and ticks, with the intervals that are ready by then."""
         learned: list[Learned] = []
         predictions: list[Predictions] = []
-        breaks: list[tuple[int, Interval | _Clock]] = [*events.intervals]
-        breaks += ((clock.newest_ns or 0, clock) for clock in ticks)
         begins = 0, 0, 0
-        for known_ns, what in sorted(breaks, key=itemgetter(0)):
+        for clock in ticks:
+            known_ns = clock.newest_ns or 0
             ends = (
                 int(events.newest.known_ns.searchsorted(known_ns)),
                 int(events.smoothed_ns.searchsorted(known_ns, side="right")),
                 int(measured.known_ns.searchsorted(known_ns, side="right")),
             )
-            predictions.append(self._follow(span.part(begins, ends)))
+            if ends != begins:
+                predictions.append(self._follow(span.part(begins, ends)))
             begins = ends
-            if isinstance(what, Interval):
-                self._add_interval(what, course.at(known_ns))
-            else:
-                learned.append(self._told_learned(known_ns, self._tick(what)))
+            while self._ready and self._ready[0][0] <= known_ns:
+                self._add_interval(self._ready.pop(0)[1], course.at(known_ns))
+            learned.append(self._told_learned(known_ns, self._tick(clock)))
         predictions.append(self._follow(span.part(begins, span.sizes)))
         return joined_predictions(predictions), learned
 
@@ -715,23 +718,23 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._bands[PowerKind.PREDICTED].take(saved.bands.predicted)
         self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)
 
-    def _ticks(
-        self, stamps: np.ndarray, alignments: Sequence[tuple[int, Alignment]]
-    ) -> list[_Clock]:
-        """The first speed in each second of stamps, as a clock.
-
-        Args:
-            stamps: of the block's speeds, ns.
-            alignments: stamps from which on they hold.
-        """
+    def _seconds_begun(self, stamps: np.ndarray) -> np.ndarray:
+        """Stamps of the first speed in each second, ns, of those of a block."""
         if not len(stamps):
-            return []
+            return stamps
         if self._first_ns is None:
             self._first_ns = self._tick_ns = int(stamps[0])
         seconds = (stamps - self._first_ns) // UPDATE_PERIOD_NS
         last = ((self._tick_ns or 0) - self._first_ns) // UPDATE_PERIOD_NS
-        firsts = stamps[np.flatnonzero(np.diff(seconds, prepend=last) > 0)]
         self._tick_ns = int(stamps[-1])
+        return stamps[seconds > np.concatenate(([last], seconds[:-1]))]
+
+    def _ticks(
+        self, firsts: np.ndarray, alignments: Sequence[tuple[int, Alignment]]
+    ) -> list[_Clock]:
+        """The first speeds of seconds as clocks, by alignments that hold from stamps on."""
+        if not len(firsts):
+            return []
         since = [stamp_ns for stamp_ns, _ in alignments]
         battery = self._stream.battery
         columns = firsts, battery.newest_at(firsts), battery.gap_ns(firsts)

@@ -203,6 +203,7 @@ class LagLearner:
     def begin_stretch(self) -> None:
         """Join nothing to the readings before; what was learned is kept."""
         self._speed, self._voltage, self._current = _Signal(), _Signal(), _Signal()
+        self._new: list[tuple[Rows, Rows]] = []  # since a block was complete
         self._zero_ns: int | None = None
         self._start = 0.0  # s, from which the next block needs speed
 
@@ -219,10 +220,17 @@ class LagLearner:
             if not len(speeds.stamps):
                 return
             self._zero_ns = int(speeds.stamps[0])
-        for signals, rows in (((self._speed,), speeds), ((self._voltage, self._current), battery)):
-            seconds = (rows.stamps - self._zero_ns) / NANOSECONDS
-            for signal, values in zip(signals, rows.values, strict=False):
-                signal.extend(seconds, values)
+        self._new.append((speeds, battery))
+        newest_ns = speeds.stamps[-1:]
+        if not len(newest_ns) or (newest_ns[0] - self._zero_ns) / NANOSECONDS < self._due:
+            return
+        signals = (self._speed,), (self._voltage, self._current)
+        for named, parts in zip(signals, zip(*self._new, strict=True), strict=True):
+            stamps = np.concatenate([rows.stamps for rows in parts])
+            columns = np.concatenate([rows.values for rows in parts], axis=1)
+            for signal, values in zip(named, columns, strict=False):
+                signal.extend((stamps - self._zero_ns) / NANOSECONDS, values)
+        self._new.clear()
         while len(self._speed.time) and self._speed.time[-1] >= self._due:
             due = float(self._speed.time[self._speed.time.searchsorted(self._due)])
             if due > self._due + LONGEST:  # the car was parked

@@ -71,8 +71,9 @@ class Network(NamedTuple):
         inner, bias, outer = (
             like(weights, speed) for weights in (self.inner, self.bias, self.outer)
         )
-        inputs = xp.stack(((speed - SPEED_CENTRE) / SPEED_SCALE, force / FORCE_SCALE), -1)
-        return xp.tanh(inputs @ inner.T + bias) @ outer
+        of_speed = ((speed - SPEED_CENTRE) / SPEED_SCALE)[..., None] * inner[:, 0]
+        of_force = (force / FORCE_SCALE)[..., None] * inner[:, 1]
+        return xp.tanh(of_speed + of_force + bias) @ outer
 
 
 def orthogonal_network(

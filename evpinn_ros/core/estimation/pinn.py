@@ -175,7 +175,7 @@ class PinnLearner(Saveable[SavedPinn]):
         """Power of the car without the trim, and its 1-sigma, W, shape (n,) each."""
         model = self._model
         rows = self._equation.rows_of(samples, self._warmth)
-        left, _, _ = wandered(self._car.dropout.seconds)
+        left = self._load_left
         rows[:, State.LOAD] = left
         variance = ((rows @ model.covariance) * rows).sum(axis=1)
         variance += (1.0 - left**2) * model.load_variance
@@ -357,6 +357,7 @@ class PinnLearner(Saveable[SavedPinn]):
     def _use(self, car: LearnedCar) -> None:
         """Use this car from now on."""
         self._car, self._model = car, car.model()
+        self._load_left, _, _ = wandered(car.dropout.seconds)
         self._regenerates = car.driven.regenerates(self._equation)
         self._warmth = Warmth.after(car.state.seconds + car.dropout.seconds)
         self._judged = self._together = None

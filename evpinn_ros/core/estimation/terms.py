@@ -189,6 +189,7 @@ class Equation:
         """Make network and copper orthogonal to the terms of eq. 21; seed: of the network."""
         self.vehicle, self.seed = vehicle, seed
         self.mean, self.covariance = prior_of(vehicle)
+        self._prior = self.mean[PHYSICS].tolist()
         self.eta = vehicle.priors["eta"].value
         self.back = self.eta * vehicle.priors["mu"].value
         driving = reference_driving()
@@ -211,7 +212,7 @@ class Equation:
         way = abs(distance)
         drag, rolling = 0.5 * density * air, GRAVITY * way
         inertia, height = self.vehicle.rotating_mass_factor * kinetic, GRAVITY * climb
-        area, c_rr_mass, mass, _ = self.mean[PHYSICS].tolist()
+        area, c_rr_mass, mass, _ = self._prior
         energy = area * drag + c_rr_mass * rolling + mass * (inertia + height)
         driving = numbers(energy > 0.0, energy)
         least = within(way, LEAST_STEP, math.inf)
@@ -272,7 +273,7 @@ class Equation:
         """
         turns = numbers(wheels.speed > CREEPING, duration) * duration
         columns = dict(zip(PHYSICS, wheels.columns, strict=True))
-        mass, rolling = self.mean[[State.MASS_OVER_ETA, State.ROLLING]].tolist()
+        _, rolling, mass, _ = self._prior
         prior = rolling * columns[State.ROLLING]
         return columns | {
             State.FORCE_SQUARED: wheels.force**2 * turns,
@@ -380,10 +381,10 @@ class Equation:
             samples: the ends of the steps.
             warmth: of tyres and cabin.
         """
-        motor, conditions = motor_of(samples), conditions_of(samples)
-        if not motor.any():
+        conditions = conditions_of(samples)
+        if np.isnan(samples.motor_power).all():
             return self.rows(Steps._make((*moved, True)), conditions, warmth)
-        rows = np.empty((samples.size, SIZE))
+        motor, rows = motor_of(samples), np.empty((samples.size, SIZE))
         for kind in np.unique(motor).tolist():
             chosen = motor == kind
             steps = Steps._make((*(c[chosen] for c in moved), kind != Motor.UNSCALED))

@@ -30,9 +30,11 @@ OUTLIER = 3.0  # sigmas from which on a sample counts for less
 def trim_rows(samples: Samples) -> np.ndarray:
     """What the weights multiply at n samples, shape (n, WEIGHTS); nothing of a standing car."""
     speed = samples.speed[:, None]
-    slopes = np.column_stack((samples.acceleration, samples.profile))
-    rows = np.concatenate((np.ones_like(speed), speed, speed * slopes), axis=1)
-    return np.where(np.abs(speed) < STANDSTILL_SPEED, 0.0, rows)
+    rows = np.empty((samples.size, WEIGHTS))
+    rows[:, 0], rows[:, 1] = 1.0, samples.speed
+    rows[:, 2], rows[:, 3:] = samples.speed * samples.acceleration, speed * samples.profile
+    rows[np.abs(samples.speed) < STANDSTILL_SPEED] = 0.0
+    return rows
 
 
 class Trim(NamedTuple):

@@ -19,6 +19,7 @@ from evpinn_ros.core.signals.track import LATER, NEVER, SignalTrack
 
 BRIDGE_SHARE = 1.0 / 12.0  # variance of the integral of a Brownian bridge, per step^2 and rise^2
 TIMING = 0.2  # of a signal's usual step, 1-sigma by which its stamps are off
+COARSE = FIELDS[BatteryReading].index("power_std")
 NOMINAL_RATIO = 27.0  # rad/m: a gear of 9 and tyres that roll on 0.33 m
 
 
@@ -61,11 +62,11 @@ class BatteryTrack:
             newest.append(stamps[stamps.searchsorted(moments, side="right") - 1])
         return np.asarray(np.minimum(*newest))
 
-    def period(self, moments: Any = LATER) -> Any:
+    def period(self, moments: Any = None) -> Any:
         """Usual step between readings of the slower of the two, s."""
         return np.maximum(*(track.period(moments) for track in self.tracks))
 
-    def gap_ns(self, moments: Any = LATER) -> Any:
+    def gap_ns(self, moments: Any = None) -> Any:
         """Nanoseconds beyond which nothing is joined, by the readings up to moments."""
         return np.maximum(*(track.gap_ns(moments) for track in self.tracks))
 
@@ -76,10 +77,13 @@ class BatteryTrack:
         for track, values in zip(self.tracks, rows.values[:2], strict=True):
             there = ~np.isnan(values)
             track.extend(rows.stamps[there], values[there])
-        coarse = np.nan_to_num(rows.values[FIELDS[BatteryReading].index("power_std")])
-        changes = coarse != np.append(self._coarse[-1], coarse[:-1])
-        self._coarse_ns = np.concatenate((self._coarse_ns, rows.stamps[changes]))
-        self._coarse = np.concatenate((self._coarse, coarse[changes]))
+        coarse = rows.values[COARSE]
+        coarse = np.where(np.isnan(coarse), 0.0, coarse)
+        changes = np.concatenate((self._coarse[-1:], coarse))
+        changes = changes[1:] != changes[:-1]
+        if changes.any():
+            self._coarse_ns = np.concatenate((self._coarse_ns, rows.stamps[changes]))
+            self._coarse = np.concatenate((self._coarse, coarse[changes]))
 
     def forget_before(self, needed_ns: int) -> None:
         """Drop readings that no moment from `needed_ns` on rests on."""

@@ -101,7 +101,8 @@ class ReorderBuffer:
             moved_ns = stamp_ns - self._late_ns
         elif kind is BatteryReading:
             moved_ns = stamp_ns - self._late_ns - self._silent_ns
-        self._moved_ns = max(self._moved_ns, moved_ns)
+        if moved_ns > self._moved_ns:
+            self._moved_ns = moved_ns
         watermark_ns = self._moved_ns // CELL_NS * CELL_NS
         if watermark_ns <= self.watermark_ns:
             if len(self._new) >= self._most_waiting:
@@ -116,7 +117,9 @@ class ReorderBuffer:
         kind = type(reading)
         if (reason := why_impossible(reading)) is not None:
             return reason
-        if isinstance(reading, BatteryReading) and all(map(math.isnan, _told(reading))):
+        if isinstance(reading, BatteryReading) and (
+            math.isnan(reading.voltage) and math.isnan(reading.current)
+        ):
             return "battery_unmeasured"
         late_ns = self.watermark_ns - (ALTITUDE_LATE_NS if kind is AltitudeReading else 0)
         return f"{LATE[kind]}_late" if kind in LATE and reading.stamp_ns <= late_ns else None
@@ -227,10 +230,6 @@ class ReorderBuffer:
                 passed[kind] = rows.where(slice(count))
                 self._waiting[kind] = rows.where(slice(count, None))
         return Block.sorted(passed)
-
-
-def _told(reading: BatteryReading) -> tuple[float, float]:
-    return reading.voltage, reading.current
 
 
 def in_order(block: Block) -> Block:

@@ -56,7 +56,7 @@ from evpinn_ros.core.signals.sample import (
     Samples,
     joined_events,
 )
-from evpinn_ros.core.signals.track import LATER, NEVER
+from evpinn_ros.core.signals.track import NEVER
 
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
 PERIOD_NS = int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
@@ -141,31 +141,38 @@ class SampleStream:
 
     def finish(self) -> Iterator[Interval]:
         """Yields the intervals that wait for more of a drive that is over."""
+        if len(self.speed):
+            yield from (interval for _, interval in self._intervals.intervals())
         yield from self._intervals.finish()
 
-    def add(self, block: Block, newest: NewestSpeeds = NO_SPEEDS) -> Events:
+    def add(
+        self, block: Block, newest: NewestSpeeds = NO_SPEEDS, *, intervals: bool = True
+    ) -> Events:
         """Take readings in order of stamps; returns what they complete.
 
         Args:
             block: of the readings.
             newest: speeds that came, to be predicted at once.
+            intervals: whether they are asked for; those of a gap come anyway.
         """
-        self._forget()
+        if intervals:
+            self._forget()
         parts: list[Events] = []
         while True:
             stamps = block.of_kind(SpeedReading).stamps
-            gap_ns = int(np.append(stamps, LATER)[self.speed.until_gap(stamps)])
+            count = self.speed.until_gap(stamps)
+            if count == len(stamps):
+                return joined_events([*parts, self._add(block, newest, intervals)])
+            gap_ns = int(stamps[count])
             part, block = block.until(gap_ns)
             predicted, newest = newest.until(gap_ns)
-            parts.append(self._add(part, predicted))
-            if gap_ns == LATER:
-                return joined_events(parts)
+            parts.append(self._add(part, predicted, True))
             ended = [(gap_ns, interval) for interval in self._intervals.finish()]
             parts.append(NO_EVENTS._replace(intervals=ended))
             self.speed.restart((gap_ns - self.speed.newest_ns) / NANOSECONDS)
             self._begin_stretch()
 
-    def _add(self, block: Block, newest: NewestSpeeds) -> Events:
+    def _add(self, block: Block, newest: NewestSpeeds, asked: bool) -> Events:
         """Take the readings of a stretch, and the newest speeds that come before its end."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
         travelled = np.diff(speeds.stamps, prepend=self.speed.stamps[-1:]) / NANOSECONDS
@@ -177,7 +184,7 @@ class SampleStream:
         self.motor.extend(block.of_kind(MotorReading), self.speed)
         smoothed, smoothed_ns, taps = self._smoothed(speeds)
         measured = self._measured(smoothed, smoothed_ns)
-        intervals = [*self._intervals.intervals()] if len(speeds.stamps) else []
+        intervals = [*self._intervals.intervals()] if asked and len(self.speed) else []
         predicted = self._newest(newest, smoothed_ns, taps)
         return Events(predicted, smoothed, smoothed_ns, measured, intervals)
 

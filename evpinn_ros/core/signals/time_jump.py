@@ -21,7 +21,7 @@ continues the other is dropped and counted, until nothing else has come for a wh
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
@@ -182,7 +182,7 @@ class StampGuard:
 
     def admit(
         self, source: object, stamp_ns: int, item: Any, rule: JumpRule = DEFAULT_RULE
-    ) -> Iterator[Any | Jump]:
+    ) -> Iterable[Any | Jump]:
         """Take one item; give it, or nothing while in doubt, or a jump and all that was held.
 
         Args:
@@ -194,15 +194,22 @@ class StampGuard:
         threshold_ns = round(rule.threshold * NANOSECONDS)
         leap_ns = self._leap_ns(source, stamp_ns, threshold_ns)
         if leap_ns == 0:
-            yield self._passed(source, stamp_ns, item)
-        elif leap_ns < 0 and rule.policy is JumpPolicy.IGNORE:
+            return (self._passed(source, stamp_ns, item),)
+        return self._in_doubt(_Held(source, stamp_ns, item), leap_ns, threshold_ns, rule.policy)
+
+    def _in_doubt(
+        self, held: _Held, leap_ns: int, threshold_ns: int, policy: JumpPolicy
+    ) -> Iterator[Any | Jump]:
+        """`admit` an item whose stamp leaps."""
+        source, stamp_ns, _ = held
+        if leap_ns < 0 and policy is JumpPolicy.IGNORE:
             self._drop(1)
         elif self._of_a_second_publisher(source, stamp_ns, leap_ns):
             self.dropped[SECOND_PUBLISHER] += 1
         else:
             confirmed = self._confirmed(source, stamp_ns, leap_ns, threshold_ns)
             ahead = self._is_ahead(source, stamp_ns, leap_ns)
-            self._hold(_Held(source, stamp_ns, item))
+            self._hold(held)
             if confirmed:
                 yield from self._leap(stamp_ns, leap_ns)
             elif ahead:
@@ -213,7 +220,7 @@ class StampGuard:
         if self._newest_ns is None:
             return 0
         ahead_ns = stamp_ns - self._newest_ns
-        if ahead_ns > max(threshold_ns, self._usual_ns):
+        if ahead_ns > threshold_ns and ahead_ns > self._usual_ns:
             return ahead_ns
         own_ns = self._own_ns.get(source)
         back_ns = 0 if own_ns is None else stamp_ns - own_ns
@@ -221,13 +228,15 @@ class StampGuard:
             return back_ns
         # The leader may be behind by any time once it is known: it is the others that are early.
         behind_any = source == self._leader and own_ns is not None
-        return 0 if behind_any or ahead_ns >= -max(SKEW_NS, threshold_ns) else ahead_ns
+        return 0 if behind_any or -ahead_ns <= SKEW_NS or -ahead_ns <= threshold_ns else ahead_ns
 
     def _passed(self, source: object, stamp_ns: int, item: Any) -> Any:
         """The item, which its source goes on with."""
         self._ahead_ns.pop(source, None)
-        self._newest_ns = max(stamp_ns, self._newest_ns or stamp_ns)
-        self._own_ns[source] = max(stamp_ns, self._own_ns.get(source, stamp_ns))
+        if self._newest_ns is None or stamp_ns > self._newest_ns:
+            self._newest_ns = stamp_ns
+        if source not in self._own_ns or stamp_ns > self._own_ns[source]:
+            self._own_ns[source] = stamp_ns
         if source == self._leader:
             self._go_on(stamp_ns)
         return item
@@ -329,8 +338,9 @@ class StampGuard:
         self._clock_went_back = False
         for left in self._left:
             left.in_a_row = 0
-        self._drop(len(self._held))
-        self._held.clear()
+        if self._held:
+            self._drop(len(self._held))
+            self._held.clear()
 
     def _drop(self, count: int) -> None:
         if count:

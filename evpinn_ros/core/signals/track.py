@@ -9,6 +9,7 @@ import numpy as np
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 TRACK_NS = 90 * NANOSECONDS  # of readings kept at least
+FEW = 5  # readings, of which sorted lists are quicker than arrays
 RATE_READINGS = 15  # steps whose median is the rate of a signal
 GAP_STEPS = 6.0  # median steps across which readings are still joined
 LATER = 2**62  # ns, a moment that never comes
@@ -20,9 +21,10 @@ def medians(steps: np.ndarray, new: int) -> np.ndarray:
 
     Of an even number of steps the larger of the two in the middle.
     """
-    if new == 1:
-        latest = np.sort(steps[-RATE_READINGS:])
-        return latest[len(latest) // 2 :][:1]
+    if new <= FEW:
+        latest, begins = steps.tolist(), range(len(steps) - new + 1 - RATE_READINGS, len(steps))
+        some = [sorted(latest[max(a, 0) : a + RATE_READINGS]) for a in begins[:new]]
+        return np.array([window[len(window) // 2] for window in some])
     count = np.minimum(np.arange(len(steps) - new, len(steps)) + 1, RATE_READINGS)
     padded = np.concatenate((np.full(RATE_READINGS, np.inf), steps))
     windows = np.lib.stride_tricks.sliding_window_view(padded, RATE_READINGS)[-new:]
@@ -62,9 +64,10 @@ class SignalTrack:
         """Latest steps, s, and usual step, s, and gap, ns, by each of the readings that follow."""
         moments = np.concatenate((self.stamps[-1:], stamps))
         new = (moments[1:] - moments[:-1]) / NANOSECONDS
-        steps, periods = np.concatenate((self._steps, new)), np.full(len(stamps), self._period)
-        if len(new):
-            periods[-len(new) :] = medians(steps, len(new))
+        steps = np.concatenate((self._steps, new))
+        periods = medians(steps, len(new))
+        if len(new) < len(stamps):  # the first of all ends no step
+            periods = np.append(self._period, periods)
         return steps[-RATE_READINGS:], periods, self._gaps(periods)
 
     def _gaps(self, periods: np.ndarray) -> np.ndarray:
@@ -108,15 +111,17 @@ class SignalTrack:
         self._gap_ns = int(self._gaps(np.array([self._period]))[0])
         self._forget()
 
-    def period(self, moments: Any = LATER) -> Any:
-        """Usual step by the readings up to moments, s, of the same shape."""
+    def period(self, moments: Any = None) -> Any:
+        """Usual step by the readings up to moments, s, of the same shape; else by all."""
         return self._last_of(self.periods, self._period, moments)
 
-    def gap_ns(self, moments: Any = LATER) -> Any:
-        """Nanoseconds beyond which nothing is joined, by the readings up to moments."""
+    def gap_ns(self, moments: Any = None) -> Any:
+        """Nanoseconds beyond which nothing is joined, likewise."""
         return self._last_of(self.gaps, self._gap_ns, moments)
 
     def _last_of(self, column: np.ndarray, without: float, moments: Any) -> Any:
+        if moments is None:
+            return without
         if not len(column):
             return np.full(np.shape(moments), without)[()]
         return column[np.maximum(self.stamps.searchsorted(moments, side="right") - 1, 0)]
