@@ -63,8 +63,8 @@ disk too. For scripts:
 
 | | |
 |---|---|
-| `--json FILE` of every command that has results (of `replay` also `--metrics`, a table where FILE ends in `.csv`) | JSON beside \
-the tables; with `-` JSON on stdout, and tables on stderr |
+| `--json FILE` of every command that has results (of `replay` also `--metrics`, a table where \
+FILE ends in `.csv`) | JSON beside the tables; with `-` JSON on stdout, and tables on stderr |
 | `reproduce` | `results.json` in its folder |
 | `simulate` | `truth.yaml` in the bag |
 """
