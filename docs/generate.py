@@ -90,9 +90,10 @@ hold readings back ([determinism](../explanation/architecture.md#determinism)), 
 not fit a CAN profile, which are counted ([CAN](../explanation/can.md#which-car-is-this)).
 """
 READING = """\
-`evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive; for
-several, these as `drives`, and `totals`, `breakdown`, `health` and `trends` of all. To a file that
-ends in `.csv` it writes a table: a column for each key, a row for each drive, and one of all.
+`evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive, a
+list of them for several, whose last has the `totals`, `breakdown` and `trends` of all under
+`together`. To a file that ends in `.csv` it writes a table: a column for each key, a row for each
+drive, and one of all.
 `trends` has a row for each week or temperature with consumption, rolling resistance and capacity,
 of three drives of a kilometre or more: `trend` (quantity and unit), `group`, `drives`,
 `distance_m`, `mean` (weighted by distance) and `spread` of single drives (1-sigma). A part in <>

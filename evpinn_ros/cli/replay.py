@@ -322,13 +322,9 @@ def _write(
     if not car.done:
         return True
     state, metrics, report = files
-    together = several or len(car.done) > 1
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
         (state, car.write_state),  # first, for it cannot be made again
-        (
-            metrics,
-            lambda path: _write_metrics(path, car.metrics() if together else car.done[0].metrics),
-        ),
+        (metrics, lambda path: _write_metrics(path, car, several)),
         (report, lambda path: _write_report(path, car, units)),
     ]
     problems = 0
@@ -343,11 +339,13 @@ def _write(
     return problems == 0
 
 
-def _write_metrics(path: Path, metrics: Mapping[str, Any]) -> None:
+def _write_metrics(path: Path, car: CarReplay, several: bool) -> None:
+    several |= len(car.done) > 1
+    drives = car.metrics() if several else [car.done[0].metrics]
     if path.suffix == TABLE_SUFFIX:
-        write_file(path, metrics_csv(metrics))
+        write_file(path, metrics_csv(drives))
     else:
-        write_json(path, metrics)
+        write_json(path, drives if several else drives[0])
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:

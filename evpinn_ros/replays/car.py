@@ -27,7 +27,7 @@ from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.run import Progress, Replayed, ReplayOptions, replay
-from evpinn_ros.replays.totals import health, totals, with_left_out
+from evpinn_ros.replays.totals import totals, with_left_out
 from evpinn_ros.replays.trends import trend_metrics
 from evpinn_ros.topics.node_parameters import TABLES, Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
@@ -110,15 +110,16 @@ class CarReplay:
         """Totals of all drives together, as in the metrics of each."""
         return totals([replayed.drive for replayed in self.done])
 
-    def metrics(self) -> dict[str, Any]:
-        """Values of `--metrics` of several drives."""
-        return {
-            "drives": [replayed.metrics for replayed in self.done],
+    def metrics(self) -> list[dict[str, Any]]:
+        """Values of `--metrics` of several drives; those of all are in the last."""
+        together = {
             "totals": self.totals(),
             "breakdown": self.breakdown(),
-            "health": health(self.chain.account.gauge),
             "trends": trend_metrics([replayed.drive for replayed in self.done]),
         }
+        drives = [{**replayed.metrics, "together": None} for replayed in self.done]
+        drives[-1]["together"] = together
+        return drives
 
     def at_next_drive(self) -> OnlineEstimator:
         """The estimator as it would begin the next drive now; the present drive goes on."""

@@ -69,13 +69,13 @@ def with_left_out(breakdown: Mapping[str, Any], total: Mapping[str, Any]) -> dic
     return {**breakdown, "left_out_kwh": left}
 
 
-def metrics_csv(metrics: Mapping[str, Any]) -> str:
+def metrics_csv(drives: Sequence[Mapping[str, Any]]) -> str:
     """The metrics of drives as a table: a row each, and one of all; columns by dotted keys."""
-    drives = metrics.get("drives", [metrics])
-    rows = [dict(_leaves(drive)) for drive in drives]
-    if "drives" in metrics:
-        of_all = {"input": {"path": f"all {len(drives)}"}, **metrics, "drives": []}
-        rows.append(dict(_leaves(of_all)))
+    alone = ({key: value for key, value in d.items() if key != "together"} for d in drives)
+    rows = [dict(_leaves(drive)) for drive in alone]
+    if (together := drives[-1].get("together")) is not None:
+        of_all = {"input": {"path": f"all {len(drives)}"}, **together}
+        rows.append(dict(_leaves({**of_all, "health": drives[-1]["health"]})))
     table = csv.DictWriter(text := StringIO(), list(dict.fromkeys(chain.from_iterable(rows))))
     table.writeheader()
     table.writerows(rows)

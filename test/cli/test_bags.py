@@ -72,7 +72,7 @@ def test_start_duration_and_loop(evpinn, folder):
         cwd=folder,
     )
     assert ended.returncode == 0, ended.stderr
-    first, second = json.loads((folder / "part.json").read_text())["drives"]
+    first, second = json.loads((folder / "part.json").read_text())
     for metrics in (first, second):
         assert metrics["input"]["duration_s"] == pytest.approx(29.9)
     # The second turn knows what the first taught.

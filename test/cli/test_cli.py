@@ -113,7 +113,7 @@ def test_a_bad_input_does_not_cost_the_drives_beside_it(evpinn, folder):
     (line,) = [line for line in ended.stderr.splitlines() if "not replayed: " in line]
     assert "wrong.csv" in line and "all 2" in ended.stdout
     kept = json.loads((folder / "kept_metrics.json").read_text())
-    assert [drive["input"]["path"] for drive in kept["drives"]] == ["drive", "speed.csv"]
+    assert [drive["input"]["path"] for drive in kept] == ["drive", "speed.csv"]
     both = evpinn("replay", "wrong.csv", "wrong.csv", cwd=folder)
     assert_fails_in_one_line(both, "wrong.csv")
 
@@ -215,5 +215,5 @@ def test_several_inputs_give_drives_and_a_folder_though_they_are_one_drive(evpin
         )
     ended = evpinn("replay", "a.csv", "b.csv", "--metrics", "m.json", "--out", "o", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    assert len(json.loads((tmp_path / "m.json").read_text())["drives"]) == 1
+    assert len(json.loads((tmp_path / "m.json").read_text())) == 1
     assert [path.name for path in (tmp_path / "o").iterdir()] == ["001_a"]

@@ -54,25 +54,27 @@ def replayed(tmp_path: Path, *parts: list[str]) -> CarReplay:
 def test_totals_of_two_drives_add_up(tmp_path):
     later = BEGIN + timedelta(hours=5)
     car = replayed(tmp_path, driven(0, BEGIN, 80.0), driven(1, later, 60.0))
-    metrics = car.metrics()
-    for drive, of_one in zip(DRIVES, metrics["drives"], strict=True):
+    drives = car.metrics()
+    assert drives[0]["together"] is None
+    of_all = drives[-1]["together"]
+    for drive, of_one in zip(DRIVES, drives, strict=True):
         assert of_one["totals"]["distance_m"] == pytest.approx(drive.distance, rel=1e-3)
         assert of_one["totals"]["energy_kwh"] == pytest.approx(drive.energy / 3.6e6, rel=1e-3)
-    starts = [of_one["totals"]["start"] for of_one in metrics["drives"]]
+    starts = [of_one["totals"]["start"] for of_one in drives]
     assert starts == ["2024-03-05T08:00:00", "2024-03-05T13:00:00"]
-    table = [*csv.DictReader(metrics_csv(metrics).splitlines())]
+    table = [*csv.DictReader(metrics_csv(drives).splitlines())]
     assert [row["input.path"] for row in table][2:] == ["all 2"]
-    for row, of_one in zip(table, (*metrics["drives"], metrics), strict=True):
+    for row, of_one in zip(table, (*drives, of_all), strict=True):
         assert float(row["totals.energy_kwh"]) == of_one["totals"]["energy_kwh"]
         assert float(row["breakdown.air.kwh"]) == of_one["breakdown"]["air"]["kwh"]
     assert float(table[-1]["health.percent"] or "nan") == pytest.approx(
-        metrics["health"]["percent"] or math.nan, nan_ok=True
+        drives[-1]["health"]["percent"] or math.nan, nan_ok=True
     )
     known = {re.sub("<.*?>", "*", metric.key) for metric in METRICS}
     assert all(any(fnmatch(key, pattern) for pattern in known) for key in table[0])
-    total = metrics["totals"]
+    total = of_all["totals"]
     for name in ("distance_m", "duration_s", "energy_kwh", "charged_kwh"):
-        sum_of_both = sum(of_one["totals"][name] for of_one in metrics["drives"])
+        sum_of_both = sum(of_one["totals"][name] for of_one in drives)
         assert total[name] == pytest.approx(sum_of_both)
     assert (total["start"], total["charge_first_percent"]) == (starts[0], 80.0)
     assert total["charge_last_percent"] == pytest.approx(DRIVES[1].charge[-1] - 20.0, abs=1e-3)
@@ -84,7 +86,7 @@ def test_totals_of_two_drives_add_up(tmp_path):
 def test_a_charger_is_in_no_error_and_tells_the_health(tmp_path):
     stands = BEGIN + timedelta(seconds=420)
     car = replayed(tmp_path, driven(0, BEGIN, 80.0) + plugged(stands))
-    (metrics,) = car.metrics()["drives"]
+    (metrics,) = car.metrics()
     total = metrics["totals"]
     assert total["energy_kwh"] == pytest.approx(DRIVES[0].energy / 3.6e6, rel=0.02)
     assert total["charged_kwh"] == pytest.approx(CHARGED, rel=0.01)
