@@ -389,11 +389,12 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             motor_power=np.array([moved.motor_power]),
         )
         (power,), (sigma,) = (column.tolist() for column in self._learner.predict(sample))
-        told_ns, told = self._newest.battery.before(stamp_ns)
-        if self._stuck.verdict.detected == BATTERY_STUCK:
-            told = math.nan
-        told /= self._similarity.size
-        power, sigma = self._persistence.add_one(stamp_ns, power, sigma, told_ns, told)
+        if self._settings.mode is not Mode.PAPER:
+            told_ns, told = self._newest.battery.before(stamp_ns)
+            told /= self._similarity.size
+            if self._stuck.verdict.detected == BATTERY_STUCK:
+                told = math.nan
+            power, sigma = self._persistence.add_one(stamp_ns, power, sigma, told_ns, told)
         moving, size = abs(speed) > STANDSTILL_SPEED, self._similarity.size
         self._predicted.append((stamp_ns, power, sigma, moving))
         sigma *= self._bands[PowerKind.PREDICTED].scale(moving=moving)
@@ -494,7 +495,12 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def _persistent(
         self, newest: Newest, predicted: np.ndarray, course: VerdictCourse
     ) -> np.ndarray:
-        """Predictions, W, shape (n, 2), with what the battery last had beside them."""
+        """Predictions, W, shape (n, 2), with what the battery last had beside them.
+
+        The paper's are as they are.
+        """
+        if self._settings.mode is Mode.PAPER:
+            return predicted
         told = newest.told_power / self._similarity.size
         if not course.is_quiet:
             known = newest.known_ns.tolist()
