@@ -158,8 +158,9 @@ def forecast(
     for planned, name in zip(forecasts, names, strict=True):
         if uneven := planned.uneven_part:
             say(f"{name}: {uneven}; --steady leaves it out.")
-        if (text := planned.no_heights(shown)) is not None:
-            level.setdefault(text, []).append(name)
+        for text in (planned.no_heights(shown), planned.beyond_driven):
+            if text is not None:
+                level.setdefault(text, []).append(name)
     for text, alike in level.items():
         say(f"{', '.join(alike)}: {text}.")
     basis = "by its vehicle file alone" if state is None else f"as learned in {state}"

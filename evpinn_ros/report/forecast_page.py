@@ -66,8 +66,9 @@ def _sentence(planned: PlannedEnergy, units: Units) -> str:
     )
     if uneven := planned.uneven_part:
         text += f" {uneven}."
-    if level := planned.no_heights(units):
-        text += f" {level[0].upper()}{level[1:]}."
+    for unsure in (planned.no_heights(units), planned.beyond_driven):
+        if unsure:
+            text += f" {unsure[0].upper()}{unsure[1:]}."
     if record := planned.record:
         text += f" {record}"
     left, half = (100 * planned.charge[:, -1]).tolist()

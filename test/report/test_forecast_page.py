@@ -18,6 +18,9 @@ from evpinn_ros.core.energy.forecast import forecast_plan, plan_parts
 from evpinn_ros.core.energy.forecaster import Forecaster
 from evpinn_ros.core.energy.plan import Legs, PlanConditions, legs_of_trip, plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel
+from evpinn_ros.core.estimation.bands import TrackRecord
+from evpinn_ros.core.estimation.car_model import CarModel
+from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import WHOLE, Part
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.report.forecast_page import PlannedTrip, _curves, _sentence, write_forecasts
@@ -56,6 +59,28 @@ def test_the_part_of_uneven_speed_is_what_steady_leaves_out(plan):
     assert planned.uneven == pytest.approx(less, rel=0.02) and less > 1e4
     assert abs(steady.uneven) < 0.02 * less
     assert planned.energies.time.tolist() == steady.energies.time.tolist()
+
+
+def test_a_plan_unlike_what_was_driven_says_so():
+    """Town has taught all of the car but its drag: a motorway is the vehicle file's."""
+    planned = planned_energy(FINE, "bmw_i3")
+    car = planned.basis.model.car
+    known = np.full(len(car.mean), 0.1)
+    known[State.DRAG_AREA_OVER_ETA] = 1.0
+    learned = replace(
+        car,
+        covariance=known[:, None] * car.covariance * known,
+        record=TrackRecord(drives=5.0),
+    )
+
+    def said(speed: float, of: CarModel) -> bool:
+        steady = plan_from_speed_profile(TIME, None, np.full_like(TIME, speed))
+        energies = forecast_plan(steady, PowerModel(of), *planned.basis[1:])
+        basis = planned.basis._replace(model=PowerModel(of))
+        return planned._replace(energies=energies, basis=basis).beyond_driven is not None
+
+    assert [said(speed, learned) for speed in (8.0, 14.0, 40.0)] == [False, False, True]
+    assert not said(40.0, replace(learned, record=TrackRecord()))
 
 
 @pytest.mark.parametrize("plan", [FEW, COARSE])

@@ -25,7 +25,7 @@ from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, veh
 from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero, condition, innovate
 from evpinn_ros.core.estimation.journey import standing, wandered
-from evpinn_ros.core.estimation.states import SIZE, State
+from evpinn_ros.core.estimation.states import LASTING, SIZE, State
 from evpinn_ros.core.estimation.terms import COUNT, LOSSES, WHOLE, Part
 from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, size_of, sizes_of
 from evpinn_ros.core.signals.interval import Steps
@@ -123,6 +123,8 @@ class Air(NamedTuple):
 
 UNKNOWN_AIR = Air()
 UNEVEN = "speeding up and braking between the points"
+# Of the 1-sigma that the vehicle file leaves of the car's part in a plan: then it tells the plan.
+HARDLY_DRIVEN = 0.7
 SHORT_OF_HEIGHTS = 0.01  # of the way without heights, from here on worth saying
 
 
@@ -234,6 +236,19 @@ class PlannedEnergy(NamedTuple):
             f"no heights{part}: a level road is assumed; the 1-sigma allows for hills like those "
             "of earlier drives"
         )
+
+    @property
+    def beyond_driven(self) -> str | None:
+        """Sentence where drives have taught little of such a plan; None else, and before any."""
+        row, car = self.energies.end.row[LASTING], self.basis.model.car
+        lasting = np.ix_(LASTING, LASTING)
+        known, file = (
+            float(row @ covariance[lasting] @ row)
+            for covariance in (car.covariance, car.equation.covariance)
+        )
+        if not car.record.drives or known < HARDLY_DRIVEN**2 * file:
+            return None
+        return "this car has hardly driven so, and the 1-sigma is mostly that of its vehicle file"
 
     @property
     def record(self) -> str | None:
