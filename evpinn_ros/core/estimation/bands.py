@@ -2,7 +2,8 @@
 
 How errors of predictions without the battery spread in sigmas scales the variance of a real
 dropout or forecast, up or down, apart for dropouts and for whole drives. Where no height is known,
-the errors also show how hilly the roads of this car are: flat country has narrow bands.
+the errors also show how hilly the roads of this car are: flat country has narrow bands. Drives
+with known heights show it by how far above or below their start they ended (`Hills`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
 # err by more than their sigmas say, simulated ones by less.
 PRIOR_CASES, PRIOR_SCALE = 4.0, 1.5
 CASES_KEPT = 40.0  # remembered
+LEAST_HEIGHTS_METRES = 10e3  # m of known heights, before `Hills` says anything
+HILLS_MEMORY_METRES = 300e3  # m within which what was driven before is forgotten to a third
 KEPT = 1.0 - 1.0 / CASES_KEPT  # of the sums of `TrackRecord`, from drive to drive
 
 
@@ -145,3 +148,35 @@ class Bands:
         square = np.minimum(error**2 / variance, MOST_DEVIATE_HILLS**2)
         odds = HILLS_KEPT * np.array(self.hills) - 0.5 * (square + np.log(variance))
         return replace(bands, hills=tuple((odds - odds.max()).tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class Hills:
+    """Climbs of the parts of drives whose heights were known.
+
+    Attributes:
+        squares: of the climb of each earlier drive from start to end, m^2.
+        metres: of their length, m.
+        way: m of this drive.
+        climb: m of this drive, up less down.
+    """
+
+    squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    metres: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    way: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
+    climb: Annotated[float, Range(-1e5, 1e5)] = 0.0
+
+    @property
+    def growth(self) -> float:
+        """Variance of height per length of road, m; 0 while unknown."""
+        return self.squares / self.metres if self.metres >= LEAST_HEIGHTS_METRES else 0.0
+
+    def plus(self, way: float, climb: float) -> Hills:
+        """With more of this drive, m, whose height was known."""
+        return replace(self, way=self.way + way, climb=self.climb + climb)
+
+    def next_drive(self) -> Hills:
+        """At the start of another drive."""
+        kept = math.exp(-self.way / HILLS_MEMORY_METRES)
+        squares, metres = kept * self.squares + self.climb**2, kept * self.metres + self.way
+        return Hills(min(squares, MOST_SUM), min(metres, MOST_SUM))

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from evpinn_ros.core.estimation.bands import Hills
 from evpinn_ros.core.estimation.breakdown import Breakdowns, DriveParts, EndedDrive, breakdowns
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.even import Path
@@ -60,7 +61,8 @@ class LearnedCar:
         payload: of this drive against the drive before.
         grade: sign of the reported grade.
         unevenness: what uneven speed takes beyond even, by the drives that ended.
-        steps: of this drive, to learn it from.
+        hills: of their roads.
+        steps: of this drive, to learn both from.
         dropout: what was driven since the battery was last measured.
         end_ns: end of the last interval.
         known_ns: up to where the battery was measured: before `end_ns` in a dropout.
@@ -78,6 +80,7 @@ class LearnedCar:
     payload: Payload = field(default_factory=Payload)
     grade: GradeDetector = field(default_factory=GradeDetector)
     unevenness: Unevenness = field(default_factory=Unevenness.none)
+    hills: Hills = field(default_factory=Hills)
     steps: tuple[Path, ...] = ()
     dropout: Journey = NOWHERE
     end_ns: int = 0
@@ -110,7 +113,9 @@ class LearnedCar:
 
     def model(self) -> CarModel:
         """The car as predictions from here on take it, by the drives that ended."""
-        return replace(self.state.model(self.equation), unevenness=self.unevenness)
+        model = self.state.model(self.equation)
+        growth = max(model.growth, self.hills.growth)
+        return replace(model, growth=growth, unevenness=self.unevenness)
 
     def drive(self) -> tuple[EndedDrive, ...]:
         """Parts of this drive so far, as functions of the states of the car alone."""
@@ -165,6 +170,7 @@ class LearnedCar:
             driven=self.driven.next_drive(),
             payload=self.payload.next_drive(self.state, self.equation),
             unevenness=self.uneven(),
+            hills=self.hills.next_drive(),
             steps=(),
             rehearsals=Rehearsals(Rehearsal(state)),
             parts=DriveParts.none(),
@@ -228,11 +234,13 @@ class LearnedCar:
 
     def _along(self, interval: Interval) -> LearnedCar:
         """The car after the road of one more interval."""
-        steps = interval.steps
+        steps, hills = interval.steps, self.hills
         ones = np.ones(len(steps.duration))
         path = Path(*steps[:5], interval.conditions.air_density * ones, 0.0 * ones)
+        if interval.height_known:
+            hills = hills.plus(abs(interval.distance), float(steps.climb.sum()))
         newest = (*self.steps, path)[-MOST_INTERVALS:]
-        return replace(self, steps=newest, end_ns=interval.end_ns)
+        return replace(self, steps=newest, hills=hills, end_ns=interval.end_ns)
 
     def _after_dropout(self) -> CarState:
         """The state once a dropout is over: time has passed, its energy is in no sum."""

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Saveable
+from evpinn_ros.core.estimation.bands import Hills
 from evpinn_ros.core.estimation.breakdown import Breakdowns, EndedDrive
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.car_model import CarModel
@@ -78,6 +79,7 @@ class SavedPinn:
     grade: GradeDetector
     current_suspicion: SignDetector
     seen_ns: Stamp | None
+    hills: Hills = field(default_factory=Hills)
     uneven: Unevenness = field(default_factory=Unevenness.none)
 
 
@@ -331,6 +333,7 @@ class PinnLearner(Saveable[SavedPinn]):
         return SavedPinn(
             car=saved_state(self._car.judged()),
             uneven=self._car.uneven(),
+            hills=self._car.hills.next_drive(),
             driven=self._car.driven,
             payload=self._car.payload,
             grade=self._car.grade,
@@ -345,6 +348,7 @@ class PinnLearner(Saveable[SavedPinn]):
             LearnedCar.new(self._equation),
             state=state,
             unevenness=saved.uneven.possible(),
+            hills=saved.hills,
             driven=saved.driven.of_this_version(),
             rehearsals=Rehearsals(Rehearsal(state)),
             payload=saved.payload,
