@@ -123,7 +123,7 @@ def each(title: str, items: Collection[Item], unit: str) -> Iterator[Item]:
     if len(items) < 2:
         yield from items
         return
-    with progress_bar(title, len(items), unit) as progress:
+    with progress_bar(title, len(items), f"of {len(items)} {unit}") as progress:
         for count, item in enumerate(items, start=1):
             yield item
             progress(count)

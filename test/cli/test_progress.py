@@ -34,7 +34,7 @@ def test_reading_many_logs_says_how_far_it_is(written, monkeypatch):
     monkeypatch.setattr(console.time, "monotonic", lambda: now)
     for _ in console.each("finding trips", [*range(40)], "logs"):
         now += 0.8
-    assert written.getvalue().splitlines()[0] == "finding trips: 13 logs, 32 %, 22 s left"
+    assert written.getvalue().splitlines()[0] == "finding trips: 13 of 40 logs, 32 %, 22 s left"
     assert [*console.each("finding trips", ["one"], "logs")] == ["one"]
     assert written.getvalue().count("\n") == 3
 
