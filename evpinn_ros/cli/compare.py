@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import command_line, each, note, progress_bar, say, show, write_json
 from evpinn_ros.cli.options import (
     JsonOption,
     ParamsOption,
@@ -67,7 +67,8 @@ def compare(
         raise InputError(f"{state}: no such file; evpinn replay --state writes it")
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
-    sources = [car.open(path, read_options) for path in drives]
+    files = each("finding columns", drives, "files")
+    sources = [car.open(path, read_options) for path in files]
     check_outputs((report, json_file))  # now that every file of the inputs was opened
     explain_columns(sources)
     comparison = compare_drives(

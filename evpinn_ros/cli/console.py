@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 import shlex
 import sys
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -31,6 +31,8 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 Report = Callable[..., None]
 """Takes the amount done (seconds of the drive unless named) and a word for the terminal."""
+
+Item = TypeVar("Item")
 
 STDOUT = "-"  # as the path of a file
 DRIVE = "s of the drive"
@@ -114,6 +116,17 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
     with Progress(name, BarColumn(), *columns, console=notes) as bar:
         task = bar.add_task(printable(title), total=total, word="")
         yield lambda done, word="": bar.update(task, completed=done, word=word)
+
+
+def each(title: str, items: Collection[Item], unit: str) -> Iterator[Item]:
+    """Yields items; shows how far they are where there are several."""
+    if len(items) < 2:
+        yield from items
+        return
+    with progress_bar(title, len(items), f"of {len(items)} {unit}") as progress:
+        for count, item in enumerate(items, start=1):
+            yield item
+            progress(count)
 
 
 def progress_lines(title: str, total: float | None, unit: str) -> Report:

@@ -12,7 +12,16 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.bags.writer import BagWriter
-from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, write_json, writing
+from evpinn_ros.cli.console import (
+    command_line,
+    each,
+    note,
+    progress_bar,
+    say,
+    show,
+    write_json,
+    writing,
+)
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     TABLE_SUFFIX,
@@ -192,7 +201,8 @@ def _opened(
     logs: list[Source] = []
     sources: list[Source] = []
     unreadable: list[str] = []
-    for path in chain.from_iterable(map(files_of, inputs)):
+    paths = [path for given in inputs for path in files_of(given)]
+    for path in each("finding columns", paths, "files"):
         try:
             logs.append(open_input(path))
         except InputError as error:
@@ -201,7 +211,7 @@ def _opened(
     drives = logs if whole else joined(logs)
     if len(drives) < len(logs):
         note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
-    for log in drives:
+    for log in each("finding trips", drives, "logs"):
         try:
             # Of many, what was read would wait for long.
             trips, charged = split(log, whole=whole, ahead=len(drives) == 1)

@@ -246,7 +246,8 @@ def trips_of(blocks: Iterable[Block]) -> Trips:
     spans = []
     for (_, begin), (end, _) in pairwise(breaks):
         inside = (time >= begin) & (time <= end)
-        if (fast[inside] >= STANDING).any():
+        # A replay takes no lone speed after a pause: its stamp is in doubt.
+        if inside.sum() > 1 and (fast[inside] >= STANDING).any():
             far = float(np.interp(end, time, way) - np.interp(begin, time, way))
             begin_ns, end_ns = (start_ns + seconds * NANOSECONDS for seconds in (begin, end))
             spans.append(Span(begin_ns, end_ns, far))

@@ -56,6 +56,15 @@ def test_a_log_of_one_trip_stays_whole(tmp_path: Path) -> None:
     assert split(log) == ([log], 0.0)
 
 
+def test_a_lone_row_after_a_pause_is_no_drive(tmp_path: Path) -> None:
+    """A replay doubts its stamp, so a trip that went on to it would end before its stop does."""
+    path = tmp_path / "torn.csv"
+    text = rows(0, 300, 10.0, 20.0) + rows(4000, 300, 10.0, 20.0) + rows(6000, 1, 10.0, 20.0)
+    path.write_text(HEADER + text)
+    trips, _ = split(open_drive(path))
+    assert [trip.stops_s for trip in trips] == [0.0, 0.0]
+
+
 @pytest.mark.parametrize("ahead", [True, False])
 def test_a_log_is_read_once_for_its_trips_and_its_replay(tmp_path: Path, ahead: bool) -> None:
     path = tmp_path / "one.csv"

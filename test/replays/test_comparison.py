@@ -46,6 +46,11 @@ def winter(vehicle, readings) -> Comparison:
     return compared(vehicle, readings, heated(readings, LOAD))
 
 
+def test_no_drive_has_more_road_than_was_driven(winter):
+    for drive, parts in zip(winter.drives, winter.parts(), strict=True):
+        assert parts.distance <= 1.01 * travelled(drive).distance.sum()
+
+
 def test_a_load_is_found_as_what_explains_the_difference(vehicle):
     """Same road, same driver: the load and nothing else differs, and it is known how much.
 

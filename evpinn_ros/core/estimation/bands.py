@@ -28,6 +28,7 @@ CASES_KEPT = 40.0  # remembered
 LEAST_HEIGHTS_METRES = 10e3  # m of known heights, before `Hills` says anything
 HILLS_MEMORY_METRES = 300e3  # m within which what was driven before is forgotten to a third
 KEPT = 1.0 - 1.0 / CASES_KEPT  # of the sums of `TrackRecord`, from drive to drive
+MOST_COUNTED = 999  # drives, whose sum of `KEPT` still tells how many they are
 
 
 class PredictedEnergy(NamedTuple):
@@ -73,7 +74,7 @@ class TrackRecord(NamedTuple):
     """Errors of whole drives that were predicted at their start: sums over the drives so far.
 
     Attributes:
-        drives: predicted.
+        drives: predicted, of which the newest `CASES_KEPT` count most.
         measured: size of their energy, J.
         learned: sizes of the errors of what was learned before each drive, J.
         file: of the vehicle file alone, J.
@@ -95,7 +96,9 @@ class TrackRecord(NamedTuple):
         if not self.measured:
             return None
         learned, file = (100.0 * error / self.measured for error in (self.learned, self.file))
-        text = f"Over {self.drives:.0f} drives, what was learned before each predicts its energy "
+        forgotten = max(1.0 - self.drives / CASES_KEPT, KEPT**MOST_COUNTED)
+        drives = math.log(forgotten) / math.log(KEPT)  # whose sum is `drives`
+        text = f"Over {drives:.0f} drives, what was learned before each predicts its energy "
         return f"{text}to {learned:.0f} %, the vehicle file alone to {file:.0f} %."
 
 

@@ -31,6 +31,7 @@ RESTS_ON = {
 BOUND_SIGMAS = 2.0
 INTERVAL = (0.025, 0.975)  # of the posterior of what cannot exceed 1
 STAYS_BELOW = 1.6  # times the limit of a share, until which trust that holds goes on holding
+OWN_STAYS_BELOW = 1.1  # times the limit of its own share, likewise
 TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads
 # Values that cars have; outside a parameter is never valid.
 POSSIBLE = {"c_rr": TYRES, "c_d": Limits(0.15, 1.0), "eta": Limits(0.0, 0.995)}
@@ -137,11 +138,12 @@ class TrustHysteresis:
         if suspected or FAR_FROM_PRIOR.judge(before is Trust.INVALID, abs(away)):
             return Trust.INVALID
         stays = now.progress >= _progress(VALID_BELOW * STAYS_BELOW)
-        stays = stays and now.prior_share <= OWN_VALID_BELOW * 1.1 and now.possible
+        stays = stays and now.prior_share <= OWN_VALID_BELOW * OWN_STAYS_BELOW and now.possible
         if before is Trust.VALID and stays:
             return Trust.VALID
         if now.trust is Trust.UNESTIMATED and before in (Trust.VALID, Trust.ESTIMATING):
-            return Trust.ESTIMATING if now.progress > 0.0 else Trust.UNESTIMATED
+            shown = now.progress > 0.0 and now.prior_share <= UNOBSERVABLE_ABOVE * OWN_STAYS_BELOW
+            return Trust.ESTIMATING if shown else Trust.UNESTIMATED
         return now.trust
 
 

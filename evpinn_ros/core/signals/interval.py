@@ -177,14 +177,17 @@ class IntervalBuilder:
         self._forget()
 
     def finish(self) -> Iterator[Interval]:
-        """Yields the intervals that are waiting, with what is known: the drive ends, or a gap."""
+        """Yields the intervals that are waiting, with what is known: the drive ends, or a gap.
+
+        The last edge stays: what comes after, if anything, begins there.
+        """
         if len(self._edges.stamps) > self._begin + 1:
             self._complete.append((self._begin, len(self._edges.stamps) - 1))
         while self._complete:
             first, last = self._complete.popleft()
             edges = self._edges.where(slice(first, last + 1))
             yield from self._split(edges, self._height.seen)
-        self._edges, self._begin = NO_EDGES, 0
+        self._edges, self._begin = self._edges.where(slice(-1, None)), 0
 
     def _forget(self) -> None:
         """Drop the edges before the first interval to come."""

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import PROFILE
-from evpinn_ros.core.estimation.bands import CASES_KEPT, GROWTHS, Bands, PredictedEnergy, Spread
+from evpinn_ros.core.estimation.bands import (
+    CASES_KEPT,
+    GROWTHS,
+    Bands,
+    PredictedEnergy,
+    Spread,
+    TrackRecord,
+)
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.journey import Journey
 from evpinn_ros.core.estimation.posterior import passed
@@ -34,6 +41,15 @@ def rehearsed(ratio: float, seed: int) -> Bands:
         drawn = float(rng.normal(0.0, ratio * 1e5))
         bands = bands.after_dropout(PredictedEnergy(0.0, 1e10, 0.0), drawn, long=True)
     return bands
+
+
+@pytest.mark.parametrize("drives", [1, 12, 123])
+def test_a_track_record_tells_how_many_drives_it_is_of(drives):
+    record = TrackRecord()
+    for _ in range(drives):
+        record = record.after(1e7, 1.2e7, 0.9e7)
+    assert record.sentence is not None and record.sentence.startswith(f"Over {drives} drives")
+    assert "to 20 %, the vehicle file alone to 10 %" in record.sentence
 
 
 @pytest.mark.parametrize("ratio", [0.6, 1.0, 1.6])

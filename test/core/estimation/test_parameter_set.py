@@ -172,6 +172,27 @@ def test_valid_stays_until_much_is_forgotten(judge):
     assert judge(0.93) is ESTIMATING and judge(1.01) is UNESTIMATED
 
 
+def test_a_value_that_is_all_prior_again_is_unestimated(prior):
+    """Whatever is known of its combination (`learned`: share of this, and own 1-sigma)."""
+    judge = TrustHysteresis()
+
+    def trust(own: float) -> Trust:
+        parameters = parameter_set(0, learned(prior, 0.5)).parameters
+        parameters["mass"] = replace(
+            parameters["mass"], prior_share=own, trust=ESTIMATING if own < 0.9 else UNESTIMATED
+        )
+        judged = judge.judge(
+            replace(parameter_set(0, learned(prior, 0.5)), parameters=parameters),
+            CALM,
+            suspected=False,
+        )
+        return judged.parameters["mass"].trust
+
+    assert [trust(own) for own in (0.8, 0.95, 1.0, 0.95)] == [
+        ESTIMATING, ESTIMATING, UNESTIMATED, UNESTIMATED,
+    ]  # fmt: skip
+
+
 def test_an_impossible_value_is_invalid_until_it_is_well_possible_again(judge):
     assert judge(0.1, away=FAR_FROM_PRIOR.on - 0.1) is VALID
     assert judge(0.1, away=-FAR_FROM_PRIOR.on - 0.1) is INVALID and not judge.set.reliable

@@ -189,6 +189,12 @@ def test_a_gap_finishes_what_waits(new_stream, play, journey, at):
     assert min(interval.start_ns for interval in later) >= ended[-1].end_ns + 15 * NANOSECONDS
 
 
+def test_a_drive_that_ended_has_its_intervals_once(new_stream, play, journey):
+    stream = new_stream()
+    play(stream, journey(58.0))
+    assert [*stream.stream.finish()] and not [*stream.stream.finish()]
+
+
 def test_a_motor_that_tells_is_counted_by_step(new_stream, play, journey, at):
     readings = journey(60.0, altitude_step=None)
     readings += [MotorReading(at(t / 10 + 0.02), 50.0, 300.0) for t in range(600)]
