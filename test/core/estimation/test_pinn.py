@@ -227,8 +227,7 @@ def newest(learner: PinnLearner, *moments: Sample) -> np.ndarray:
 def test_the_newest_sample_is_predicted_and_nothing_follows_it(learner):
     first, again = newest(learner, sample(5), sample(5))
     assert first.tolist() == again.tolist()
-    power, sigma = learner.predict(Samples.of([sample(5)]))
-    assert first.tolist() == pytest.approx([power[0], sigma[0]], rel=1e-12)
+    assert first.tolist() == pytest.approx(learner.predict(sample(5)), rel=1e-12)
 
 
 def test_samples_before_a_jump_of_time_are_in_no_energy(learner):
@@ -267,7 +266,7 @@ def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
         {"car": {}},
         {"car": {**car, "names": car["names"][1:]}},
         {"car": {**car, "mean": [[math.nan] * len(NAMES)] * len(car["mean"])}},
-        {"uneven": {**uneven, "driven": uneven["driven"][:-1]}},
+        {"uneven": {**uneven, "by_drives": uneven["by_drives"][:-1]}},
         {"uneven": {**uneven, "squares": 1e30}},
     ):
         with pytest.raises((KeyError, TypeError, ValueError)):
