@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Hashable, Mapping
 import math
 from typing import Any, NamedTuple
@@ -22,6 +23,9 @@ class NumberCheck(NamedTuple):
     by_turns: bool  # another publisher of the topic may speak in between
 
 
+THE_NEXT = NumberCheck(0, by_turns=False)
+
+
 class MessageNumbers:
     """Counts lost messages, and finds a second publisher, by the numbers of messages.
 
@@ -31,8 +35,8 @@ class MessageNumbers:
     """
 
     def __init__(self) -> None:
-        self._numbers: dict[Hashable, dict[bytes, int]] = {}
-        self._newest: dict[Hashable, int] = {}
+        self._numbers: dict[Hashable, dict[bytes, int]] = defaultdict(dict)
+        self._newest: dict[Hashable, int] = defaultdict(int)
         self._fell: dict[Hashable, float] = {}
 
     def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> NumberCheck:
@@ -40,21 +44,22 @@ class MessageNumbers:
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         if not number:
             return NumberCheck(0, by_turns=True)
-        falls = number <= self._newest.get(topic, 0)
-        fell_lately = steady - self._fell.get(topic, -math.inf) < LATELY
+        newest, numbers = self._newest[topic], self._numbers[topic]
         self._newest[topic] = number
-        if falls:
-            self._fell[topic] = steady
-        lost = self._lost(topic, bytes(gid["data"]) if gid else b"", number)
-        return NumberCheck(lost if gid or not fell_lately else 0, falls and fell_lately)
-
-    def _lost(self, topic: Hashable, publisher: bytes, number: int) -> int:
-        numbers = self._numbers.setdefault(topic, {})
+        publisher = bytes(gid["data"]) if gid else b""
+        if number == newest + 1 and publisher in numbers and numbers[publisher] == newest:
+            numbers[publisher] = number
+            return THE_NEXT
         if publisher not in numbers and len(numbers) >= MOST_PUBLISHERS:
             numbers.clear()
         before = numbers.get(publisher, number - 1)
         numbers[publisher] = number
-        return max(number - before - 1, 0)
+        fell_lately = steady - self._fell.get(topic, -math.inf) < LATELY
+        falls = number <= newest
+        if falls:
+            self._fell[topic] = steady
+        lost = max(number - before - 1, 0) if gid or not fell_lately else 0
+        return NumberCheck(lost, falls and fell_lately)
 
 
 class StampWatch:

@@ -154,16 +154,19 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             if not self.active:
                 return
             self.received[topic] += 1
-            lost, by_turns = self._numbers.record(topic, info, self.steady_s())
+            now = self.steady_s()
+            lost, by_turns = self._numbers.record(topic, info, now)
             if lost:
                 self.bad[f"{topic.name}: lost"] += lost
             alone = by_turns and not raw  # a recorder takes topics of several nodes
             if alone and (publishers := self.count_publishers(subscription.topic_name)) > 1:
                 self.notice(f"publishers {topic.name}", f"{publishers} publishers of {topic.name}")
-            self._mismatched.pop(topic, None)
+            if topic in self._mismatched:
+                del self._mismatched[topic]
             callback(message)
-            self._arrivals[topic] = self._now_s()
-            self._refused.pop(topic.name, None)
+            self._arrivals[topic] = self._now_s(now)
+            if topic.name in self._refused:
+                del self._refused[topic.name]
 
         safe = self.guarded(take, topic.name)
 
@@ -301,7 +304,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
     def age(self, *either: Topic) -> float:
         """Seconds since the last usable message of one of these inputs, NaN before the first."""
         arrived = [self._arrivals[topic] for topic in either if topic in self._arrivals]
-        return self._now_s() - max(arrived) if arrived else math.nan
+        return self._now_s(self.steady_s()) - max(arrived) if arrived else math.nan
 
     def why_silent(self, *either: Topic) -> str:
         """Who publishes these inputs, and why nothing of it is used, in a few words; no counts."""
@@ -326,10 +329,10 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
                 raise BadMessage(f"{better.name} is received", usual=True)
         return topics.SPEED
 
-    def _now_s(self) -> float:
-        """For ages, s: simulated time, which may pause; else the monotonic clock."""
+    def _now_s(self, steady: float) -> float:
+        """For ages, s: simulated time, which may pause; else that of the monotonic clock."""
         simulated = self.get_clock().ros_time_is_active
-        return self.now_ns() / NANOSECONDS if simulated else self.steady_s()
+        return self.now_ns() / NANOSECONDS if simulated else steady
 
     def report(self) -> None:
         """Publish the diagnostics now."""

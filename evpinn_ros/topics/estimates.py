@@ -50,10 +50,12 @@ def output_messages(
 ) -> Iterator[tuple[Topic, Any]]:
     """Every message of one output; ValueError, and nothing to publish, if not finite."""
     if isinstance(output, PowerEstimate):
-        values_by_name = {POWER: Uncertain(output.power, output.sigma)}
+        names, values, sigmas = [POWER], [output.power], [output.sigma]
         if math.isfinite(output.energy_sigma):
-            values_by_name[UNMEASURED_ENERGY] = Uncertain(output.energy, output.energy_sigma)
-        yield POWER_TOPICS[output.kind], _vector(new, output.stamp_ns, values_by_name)
+            names.append(UNMEASURED_ENERGY)
+            values.append(output.energy)
+            sigmas.append(output.energy_sigma)
+        yield POWER_TOPICS[output.kind], named_vector(new, output.stamp_ns, names, values, sigmas)
     elif isinstance(output, EnergyState):
         yield from _energy_messages(new, output)
     elif isinstance(output, AccountSummary):
@@ -102,17 +104,18 @@ def breakdown_messages(
 
 
 def _energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
-    flows = {name: getattr(state, name) for name in FLOWS}
     power = state.measured.power if state.measuring else state.predicted.power
-    flows["consumed"] = Flow(state.consumed, power, state.consumed_sigma)
-    finite = {
-        name: flow
-        for name, flow in flows.items()
-        if math.isfinite(flow.energy) and math.isfinite(flow.power)
-    }
+    consumed = Flow(state.consumed, power, state.consumed_sigma)
+    flows = state.measured, state.predicted, state.rknn, state.regenerated, consumed
+    # A sum is finite if both are.
+    finite = [
+        (name, *flow)
+        for name, flow in zip((*FLOWS, "consumed"), flows, strict=True)
+        if math.isfinite(flow.energy + flow.power)
+    ]
     if finite:
-        energies, powers, sigmas = zip(*finite.values(), strict=True)
-        vector = named_vector(new, state.stamp_ns, list(finite), energies, sigmas, powers)
+        names, energies, powers, sigmas = zip(*finite, strict=True)
+        vector = named_vector(new, state.stamp_ns, names, energies, sigmas, powers)
         yield topics.ENERGY_STATE, vector
     yield topics.ENERGY_CONSUMED, scalar(new, state.consumed)
 

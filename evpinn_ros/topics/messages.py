@@ -61,11 +61,16 @@ class NamedVector:
 
 def header(new: NewMessage, stamp_ns: int, frame_id: str = "") -> Any:
     """std_msgs/Header; ValueError for a stamp outside 1970 to 2038, which ROS time holds."""
+    made = new("std_msgs/msg/Header", frame_id=frame_id)
+    _set_stamp(made, stamp_ns)
+    return made
+
+
+def _set_stamp(header: Any, stamp_ns: int) -> None:
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     if not 0 <= seconds < 2**31:
         raise ValueError(f"{stamp_ns} ns is outside ROS time")
-    stamp = new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-    return new("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+    header.stamp.sec, header.stamp.nanosec = seconds, nanoseconds
 
 
 def scalar(new: NewMessage, value: float) -> Any:
@@ -92,14 +97,15 @@ def named_vector(
         raise ValueError(f"{len(names)} names do not fit the values, sigmas or rates")
     if not all(map(math.isfinite, (*values, *rates, *sigmas))) or min(sigmas, default=0.0) < 0.0:
         raise ValueError(f"{values}, {rates} or {sigmas} are not finite, or no sigmas")
-    return new(
+    message = new(
         topics.NAMED_VECTOR_TYPE,
-        header=header(new, stamp_ns),
         name=list(names),
         position=list(map(float, values)),
         velocity=list(map(float, rates)),
         effort=list(map(float, sigmas)),
     )
+    _set_stamp(message.header, stamp_ns)  # which it is made with: another one costs as much
+    return message
 
 
 def diagnostics(
@@ -151,18 +157,19 @@ def stamp_ns(message: Any) -> int:
 
 def read_named_vector(message: Any) -> NamedVector:
     """A named vector as mappings by name."""
-    values, rates, sigmas = (
-        _by_name(message.name, numbers)
-        for numbers in (message.position, message.velocity, message.effort)
-    )
-    if len(values) != len(message.name):
+    names = message.name
+    values, rates = _by_name(names, message.position), _by_name(names, message.velocity)
+    sigmas = _by_name(names, message.effort)
+    if len(values) != len(names):
         raise BadMessage("lengths_differ")
     return NamedVector(stamp_ns(message), values, sigmas, rates)
 
 
 def _by_name(names: Sequence[str], numbers: Sequence[float]) -> dict[str, float]:
+    if not len(numbers):
+        return {}
     by_name = dict(zip(names, map(float, numbers), strict=False))
-    if len(numbers) and not len(names) == len(numbers) == len(by_name):
+    if not len(names) == len(numbers) == len(by_name):
         raise BadMessage("lengths_differ")
     if not all(map(math.isfinite, by_name.values())):
         raise BadMessage("not_finite")

@@ -70,7 +70,7 @@ from evpinn_ros.core.signals.readings import (
     sensor_sigma,
 )
 from evpinn_ros.core.signals.reorder import Arrived, ReorderBuffer
-from evpinn_ros.core.signals.sample import Events, Measured, Newest, Samples
+from evpinn_ros.core.signals.sample import Events, Measured, Newest, Sample, Samples
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.stuck import StuckDetector, Verdict, VerdictCourse
 from evpinn_ros.core.signals.told import NO_BATTERY, ToldPower
@@ -276,7 +276,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._news = False  # whether there is anything that no update has seen
         self._predictions = dict.fromkeys(self._bands, NO_PREDICTIONS)
         self._predicted: list[tuple[int, float, float, bool]] = []  # at once, and not held yet
-        self._surroundings: tuple[list[float], Samples] | None = None  # as known now
+        self._surroundings: tuple[list[float], Sample] | None = None  # as known now
 
     def handle_time_jump(self) -> None:
         """Forget what may not be joined across a jump of time; keep what was learned."""
@@ -380,15 +380,16 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         acceleration = sum(map(mul, moved.differences, weights))
         if abs(acceleration) > MAX_ACCELERATION:
             return None
-        beyond = [slope - acceleration if slope == slope else 0.0 for slope in moved.slopes]
+        slopes = moved.slopes
+        beyond = tuple(slope - acceleration if slope == slope else 0.0 for slope in slopes)
         sample = around._replace(
-            stamp_ns=np.array([stamp_ns]),
-            speed=np.array([speed]),
-            acceleration=np.array([acceleration]),
-            profile=np.array([beyond]),
-            motor_power=np.array([moved.motor_power]),
+            stamp_ns=stamp_ns,
+            speed=speed,
+            acceleration=acceleration,
+            profile=beyond,
+            motor_power=moved.motor_power,
         )
-        (power,), (sigma,) = (column.tolist() for column in self._learner.predict(sample))
+        power, sigma = self._learner.predict(sample)
         if self._settings.mode is not Mode.PAPER:
             told_ns, told = self._newest.battery.before(stamp_ns)
             told /= self._similarity.size

@@ -15,7 +15,7 @@ from evpinn_ros.core.estimation.estimate import ParameterSet
 from evpinn_ros.core.estimation.evidence import NO_EVIDENCE, Evidence
 from evpinn_ros.core.estimation.payload import PayloadChange
 from evpinn_ros.core.signals.interval import Interval
-from evpinn_ros.core.signals.sample import Measured, Samples
+from evpinn_ros.core.signals.sample import Measured, Sample, Samples
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 REVERSE_SPEED = -0.1  # m/s: below this the car reverses
@@ -133,8 +133,8 @@ class Learner(Protocol):
     def follow(self, span: Span) -> Predictions:
         """Predict the samples of a span, each by what was learned before it, and learn."""
 
-    def predict(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-        """Power and its 1-sigma, W, at n samples by what is learned now, shape (n,) each."""
+    def predict(self, sample: Sample) -> tuple[float, float]:
+        """Power and its 1-sigma, W, at a sample by what is learned now."""
 
     def add_interval(self, interval: Interval) -> bool:
         """Take an interval, its battery measured or not; gives whether an update is due."""

@@ -18,6 +18,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+import math
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +60,7 @@ from evpinn_ros.core.estimation.trim import Trim, trim_rows
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Samples, joined_samples
+from evpinn_ros.core.signals.sample import Sample, Samples, joined_samples
 from evpinn_ros.core.signals.sign_detectors import GradeDetector, SignDetector
 from evpinn_ros.core.signals.track import NEVER
 from evpinn_ros.core.vehicle.files import Vehicle
@@ -162,12 +164,17 @@ class PinnLearner(Saveable[SavedPinn]):
             self._seen_ns = int(span.smoothed.stamp_ns[-1])
         return Predictions(both[newest], both[smoothed], energies)
 
-    def predict(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-        """Power and its 1-sigma, W, at n samples by what is learned now, shape (n,) each."""
-        power, sigma = self._car_power(samples)
-        ages = np.maximum(samples.stamp_ns - self._trim_ns, 0) / NANOSECONDS
-        given, unsure = self._trim.predict(trim_rows(samples), ages)
-        return self._possible(power + given), np.hypot(sigma, unsure)
+    def predict(self, sample: Sample) -> tuple[float, float]:
+        """Power and its 1-sigma, W, at a sample by what is learned now: `follow` by numbers."""
+        model = self._model
+        row = self._equation.row_of(sample, self._warmth)
+        row[State.LOAD] = self._load_left
+        variance = max(float(row.dot(model.covariance).dot(row)), 0.0)
+        age = max(sample.stamp_ns - self._trim_ns, 0) / NANOSECONDS
+        given, unsure = self._trim.predict_one(sample, age)
+        power = float(row.dot(model.mean)) + given
+        variance += self._variance_beside(sample.speed) + unsure
+        return power if self._regenerates else max(power, 0.0), math.sqrt(variance)
 
     def _possible(self, power: np.ndarray) -> np.ndarray:
         """Power, W: none flows into a battery that braking was never seen to charge."""
@@ -177,12 +184,15 @@ class PinnLearner(Saveable[SavedPinn]):
         """Power of the car without the trim, and its 1-sigma, W, shape (n,) each."""
         model = self._model
         rows = self._equation.rows_of(samples, self._warmth)
-        left = self._load_left
-        rows[:, State.LOAD] = left
-        variance = ((rows @ model.covariance) * rows).sum(axis=1)
-        variance += (1.0 - left**2) * model.load_variance
-        noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * samples.speed**2
-        return rows @ model.mean, np.sqrt(np.maximum(variance, 0.0) + noise)
+        rows[:, State.LOAD] = self._load_left
+        variance = np.maximum(((rows @ model.covariance) * rows).sum(axis=1), 0.0)
+        return rows @ model.mean, np.sqrt(variance + self._variance_beside(samples.speed))
+
+    def _variance_beside(self, speed: Any) -> Any:
+        """Variance beside that of the states, W^2, at speeds, m/s: a number, or n of them."""
+        model, left = self._model, self._load_left
+        noise = POWER_NOISE**2 + FORCE_NOISE**2 * model.noise[1] * speed**2
+        return (1.0 - left**2) * model.load_variance + noise
 
     def _learnable(self, samples: Samples, power: np.ndarray) -> np.ndarray:
         """Mask of the measured samples that the trim learns from; the others are counted."""

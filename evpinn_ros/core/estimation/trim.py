@@ -10,13 +10,14 @@ It is not the network of the car, which lasts and is learned with the parameters
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from evpinn_ros.core.estimation.journey import FORCE_NOISE, POWER_NOISE
 from evpinn_ros.core.signals.kinematics import PROFILE
-from evpinn_ros.core.signals.sample import Samples
+from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
 WEIGHTS = 3 + PROFILE
@@ -67,6 +68,17 @@ class Trim(NamedTuple):
         along = np.matmul(rows[:, None], self.covariance[which])[:, 0]
         variance = keep**2 * (along * rows).sum(axis=1) + (1.0 - keep**2) * (rows**2 @ PRIOR)
         return power, np.sqrt(np.maximum(variance, 0.0))
+
+    def predict_one(self, sample: Sample, age: float) -> tuple[float, float]:
+        """The scalar twin of `predict`: power, W, and its variance, W^2, at one sample."""
+        speed = sample.speed
+        if abs(speed) < STANDSTILL_SPEED:
+            return 0.0, 0.0
+        along = [speed * rise for rise in (sample.acceleration, *sample.profile)]
+        row, keep = np.array([1.0, speed, *along]), math.exp(age / -FADING)
+        variance = keep**2 * float(row.dot(self.covariance[-1]).dot(row))
+        variance += (1.0 - keep**2) * float((row * row).dot(PRIOR))
+        return keep * float(row.dot(self.weights[-1])), max(variance, 0.0)
 
     def learned(self, rows: np.ndarray, residuals: np.ndarray, ages: np.ndarray) -> Trim:
         """The last of these, and after each of k measured samples: k + 1.

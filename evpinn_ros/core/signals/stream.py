@@ -53,6 +53,7 @@ from evpinn_ros.core.signals.sample import (
     Events,
     Measured,
     Newest,
+    Sample,
     Samples,
     joined_events,
 )
@@ -131,13 +132,13 @@ class SampleStream:
         """Optional inputs without data (see `Road.unknown`)."""
         return self._road.unknown(max(self.speed.newest_ns, 0))
 
-    def around(self, known_ns: int) -> tuple[list[float], Samples]:
+    def around(self, known_ns: int) -> tuple[list[float], Sample]:
         """Weights of the differentiator, `TAPS` of them, and a standing sample at a stamp."""
         information, products = self._differentiator.information, self._differentiator.products
         stamps, nothing = np.array([known_ns]), np.zeros(1)
         slopes, motor = np.full((1, PROFILE), np.nan), np.full(1, np.nan)
-        samples = self._samples(stamps, stamps, nothing, nothing, slopes, motor)
-        return np.linalg.solve(information, products).tolist(), samples
+        standing = next(self._samples(stamps, stamps, nothing, nothing, slopes, motor).rows())
+        return np.linalg.solve(information, products).tolist(), standing
 
     def finish(self) -> Iterator[Interval]:
         """Yields the intervals that wait for more of a drive that is over."""

@@ -34,7 +34,7 @@ from evpinn_ros.core.estimation.estimator import EstimatorSettings, PaperOptimiz
 from evpinn_ros.core.estimation.learner import Learner, Predictions, Span, gates
 from evpinn_ros.core.estimation.parameter_set import UNOBSERVABLE_ABOVE
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.core.signals.sample import Sample, Samples
+from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable, identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS, Parameters
@@ -159,17 +159,12 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         for learned, sample in enumerate((*span.measured.rows(), None)):
             for predictions, samples, learned_before in kinds:
                 for index in np.flatnonzero(learned_before == learned).tolist():
-                    predictions[index] = self._predict(samples[index])
+                    predictions[index] = self.predict(samples[index])
             if sample is not None:
                 self._observe(sample, float(span.power[learned]), reasons[learned])
         return Predictions(newest, smoothed, np.full((passed, 2), np.nan))
 
-    def predict(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-        """Power and its 1-sigma, W, at n samples by what is learned now, shape (n,) each."""
-        power, sigma = np.reshape([self._predict(sample) for sample in samples.rows()], (-1, 2)).T
-        return power, sigma
-
-    def _predict(self, sample: Sample) -> tuple[float, float]:
+    def predict(self, sample: Sample) -> tuple[float, float]:
         """Power of the network, W (the prior's physics until the first update), and 1-sigma."""
         sigma = float(np.sqrt(self._variance))
         if self._fresh:
@@ -185,7 +180,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         if reason is not None:
             self.gated[reason] += 1
             return
-        residual = power - self._predict(sample)[0]
+        residual = power - self.predict(sample)[0]
         self._variance += (residual**2 - self._variance) / NOISE_MEMORY
         self._window.append((sample, power))
         self._last_ns = sample.stamp_ns

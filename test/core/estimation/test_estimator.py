@@ -8,7 +8,7 @@ from evpinn_ros.core.estimation.estimate import ParameterSet, PowerKind, Trust
 from evpinn_ros.core.estimation.estimator import Activity, Mode
 from evpinn_ros.core.signals.interval import DURATION
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
-from evpinn_ros.core.signals.sample import Sample, Samples
+from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.identifiable import identifiable
 from test.combined import combined_power
 
@@ -145,8 +145,8 @@ def test_energy_of_a_dropout_begins_where_the_battery_was_last_measured(
 def probe_sigma(estimator) -> float:
     """Sigma at 10 m/s, band included, without letting time pass."""
     moment = Sample(estimator.status().newest_ns, 10.0, 0.2, 0.0, 1.17, 0.0)
-    _, sigma = estimator._learner.predict(Samples.of([moment]))
-    return float(sigma[0]) * estimator._bands[PowerKind.SMOOTHED].scale(moving=True)
+    _, sigma = estimator._learner.predict(moment)
+    return sigma * estimator._bands[PowerKind.SMOOTHED].scale(moving=True)
 
 
 @pytest.mark.slow

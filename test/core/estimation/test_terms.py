@@ -11,7 +11,9 @@ from evpinn_ros.core.estimation.network import reference_driving, share_of_terms
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import COUNT, WHOLE, Part, Warmth, coldness, equation_of
 from evpinn_ros.core.signals.interval import Steps
+from evpinn_ros.core.signals.kinematics import PROFILE
 from evpinn_ros.core.signals.road import Conditions
+from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.core.vehicle.identifiable import prior_identifiable
 from evpinn_ros.core.vehicle.physics import GRAVITY
@@ -57,6 +59,31 @@ def test_parts_add_up_to_the_whole_for_every_state(seed, conditions, motor, leng
     whole = EQUATION.rows(steps, conditions, START).sum(0)
     assert parts.shape == (COUNT, SIZE)
     np.testing.assert_allclose(parts[WHOLE].sum(0), whole, rtol=1e-9, atol=1e-6)
+
+
+unknown = st.just(math.nan)
+moments = st.builds(
+    Sample,
+    st.just(0),
+    st.floats(-5.0, 50.0),
+    st.floats(-5.0, 5.0),
+    st.floats(-0.2, 0.2),
+    st.floats(0.9, 1.4),
+    st.one_of(st.just(0.0), st.floats(1.0, 5e3)),
+    profile=st.just((0.0,) * PROFILE),
+    head_wind=st.floats(-20.0, 20.0),
+    celsius=st.one_of(unknown, st.floats(-30.0, 45.0)),
+    motor_power=st.one_of(unknown, st.floats(-1e5, 2e5)),
+    motor_scaled=st.booleans(),
+)
+
+
+@settings(deadline=None)
+@given(st.lists(moments, min_size=1, max_size=4))
+def test_the_row_of_a_sample_is_that_of_it_among_others(samples):
+    rows = EQUATION.rows_of(Samples.of(samples), START)
+    alone = [EQUATION.row_of(sample, START) for sample in samples]
+    np.testing.assert_allclose(alone, rows, rtol=1e-9, atol=1e-9)
 
 
 @settings(deadline=None, max_examples=30)

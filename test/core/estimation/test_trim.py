@@ -43,6 +43,8 @@ def taught(residuals, samples: Samples) -> Trim:
 def at(trim: Trim, moment: Sample, age: float = 0.0) -> tuple[float, float]:
     """Power that the trim adds at a moment, W, and its 1-sigma, W."""
     power, sigma = trim.predict(trim_rows(Samples.of([moment])), np.array([age]))
+    of_one, variance = trim.predict_one(moment, age)
+    assert (of_one, math.sqrt(variance)) == pytest.approx((power[0], sigma[0]), rel=1e-9)
     return float(power[0]), float(sigma[0])
 
 

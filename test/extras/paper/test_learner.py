@@ -20,8 +20,7 @@ TRUTH = Parameters(eta=0.85, mu=0.78, mass=1960.0, c_rr=0.0105, c_d=0.235, p_aux
 
 def predict(learner: PaperLearner, sample: Sample) -> float:
     """Power at a smoothed sample, W."""
-    power, _ = learner.predict(Samples.of([sample]))
-    return float(power[0])
+    return learner.predict(sample)[0]
 
 
 def observe(learner: PaperLearner, sample: Sample, power: float) -> None:
