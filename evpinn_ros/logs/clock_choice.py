@@ -43,6 +43,7 @@ MOSTLY = 0.8  # of the steps between rows
 SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
 SHARED = 0.3  # of the rows have the stamp of the one before, where stamps are coarse
 LEAST_SHARED = 3  # stamps that rows share, to tell how far apart they are
+LEAP_NS, LEAST_PART = 600 * NANOSECONDS, 10  # ahead, and rows between two leaps
 LEAST_SECONDS = 20  # of a minute that tell a clock without colons from a number
 CHANGED = 0.1  # of these have another value than the one before
 LONG_STEP, SLOW = 25.0, 3e-3  # s between rows, and m/s^2 of a mean change of speed: too slow
@@ -369,8 +370,13 @@ def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:
 
 
 def _lie_apart(times: NDArray[np.int64], back: NDArray[np.bool_]) -> bool:
-    """True if the parts between which time goes back are of other hours: drives by name."""
-    begins = np.append(0, np.flatnonzero(back) + 1)
+    """True if the parts between which time leaps are of other hours.
+
+    So are drives by name, and one in which a telephone's time zone was another for a while.
+    """
+    begins = np.append(0, np.flatnonzero(back | (np.diff(times) > LEAP_NS)) + 1)
+    if np.diff(np.append(begins, times.size)).min() < LEAST_PART:  # a broken date
+        begins = np.append(0, np.flatnonzero(back) + 1)
     first, last = np.minimum.reduceat(times, begins), np.maximum.reduceat(times, begins)
     order = np.argsort(first)
     return bool((last[order][:-1] < first[order][1:]).all())

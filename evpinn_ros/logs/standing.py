@@ -1,15 +1,14 @@
 """Values that stand still while the car does not, and zeros in place of measurements.
 
 A value is contradicted by the other signal, by the mass that both show elsewhere, and by the way
-between positions or that of the odometer. Where speed and battery stand still together while
-the car moves, as when an adapter is lost, neither was measured.
+between positions or that of the odometer. Where neither speed nor battery was measured
+(`unmeasured`), all goes.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +29,23 @@ from evpinn_ros.logs.signal import (
     steps_of_places,
 )
 from evpinn_ros.logs.speed_unit import road_of_odometer
+from evpinn_ros.logs.unmeasured import (
+    LEAST_REPEATS,
+    Stand,
+    measured_on,
+    standing_together,
+    straight_together,
+)
 
 DRAWN = ("current", "power")
 MOST = {"speed": MAX_SPEED, "voltage": MAX_VOLTAGE, "current": MAX_CURRENT}
 LARGEST = 1e9  # of any other
 SHOWN = {"speed": (3.6, "km/h"), "current": (1.0, "A"), "power": (1.0, "W")}
-LEAST_STAND, LEAST_REPEATS = 10.0, 10  # s, readings
+UNMEASURED = {
+    "stand still": standing_together,
+    "lie on straight lines": straight_together,
+}
+LEAST_STAND = 10.0  # s
 WINDOW = 15.0  # s; over more, a hill looks like speeding up
 UNSEEN = 1.0  # m/s^2: by so much power swings in most windows while the speed repeats
 LONG, UNSEEN_LONG = 60.0, 0.4  # s, m/s^2: no driver and no control keeps a speed so well
@@ -52,27 +62,8 @@ SLOWEST_UNIT = 1.0 / 3.6  # m/s: of a speed, knots and mph are faster
 MOST_ASKED = 1000  # values that tell a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
 LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # to zero and back, and of all steps
-LEAST_LOST = 15.0  # s: an even road under cruise control looks the same for less
-ALONE = 2.0  # times that, speed or battery stand still without the other
-ALIVE = ("odometer", "elevation", "charge", *PLACES)  # which change while the car is measured
-MOST_LOST, USUALLY = 2, 0.5  # stretches, and readings that moves: a log that repeats all values
 
 Signals = dict[str, Signal]
-
-
-class Stand(NamedTuple):
-    """A stretch in which a signal has one value, from its first point to its last."""
-
-    first: int
-    last: int
-    begin: float  # s
-    seconds: float
-    value: float
-
-    def holds(self, signal: Signal) -> Signal:
-        """The part of another signal that lies in it."""
-        inside = (signal.time >= self.begin) & (signal.time <= self.begin + self.seconds)
-        return Signal(signal.time[inside], signal.value[inside])
 
 
 class Standing:
@@ -86,7 +77,7 @@ class Standing:
         self._readings, self._zeros = Counter[str](), Counter[str]()
         self._ways: list[float] = []  # by the odometer over that by the speed
         self._steps = self._leaps = 0
-        self._lost: list[Stand] = []
+        self._lost: dict[str, list[Stand]] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -112,12 +103,14 @@ class Standing:
                 values[name][rows[zeros]] = np.nan
                 self._zeros[name] += int(zeros.sum())
                 self._dropped[f"{name}_sentinel_0"] += int(zeros.sum())
-        for stand in _lost(_signals(time, values, rows)):
-            inside = (time > stand.begin) & (time <= stand.begin + stand.seconds)
-            for column in values.values():
-                column[rows[inside]] = np.nan
-            self._dropped["both_stand_still"] += int(inside.sum())
-            self._lost.append(stand)
+        for how, unmeasured in UNMEASURED.items():
+            signals = _signals(time, values, rows)
+            for stand in unmeasured(signals):
+                inside = (time > stand.begin) & (time <= stand.begin + stand.seconds)
+                for name in values.keys() - measured_on(signals, stand):
+                    values[name][rows[inside]] = np.nan
+                self._dropped[f"both_{how.replace(' ', '_')}"] += int(inside.sum())
+                self._lost.setdefault(how, []).append(stand)
         signals = _signals(time, values, rows)
         leapt = leaps(*signals["speed"].points())
         self._steps, self._leaps = self._steps + leapt.size, self._leaps + int(leapt.sum())
@@ -143,12 +136,10 @@ class Standing:
                 "car does, so doubt all totals: are there rows of several cars, or is it in "
                 "another unit?"
             )
-        if self._lost:
-            lost, *again = self._lost
+        for how, (lost, *again) in self._lost.items():
             yield (
-                f"speed and battery stand still from {lost.begin:.0f} s on for "
-                f"{lost.seconds:.0f} s{_more(again)} while the car moves, so nothing is measured "
-                "there"
+                f"speed and battery {how} from {lost.begin:.0f} s on for {lost.seconds:.0f} s"
+                f"{_more(again)} while the car moves, so nothing is measured there"
             )
         for name, zeros in self._zeros.items():
             share = 100.0 * zeros / self._readings[name]
@@ -269,53 +260,6 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
             for stand in _stands(signals[name]):
                 if _needs_power(stand, seen, signals[name], mass / unit):
                     yield name, stand, "the car speeds up and slows down"
-
-
-def _lost(signals: Signals) -> list[Stand]:
-    """Stretches in which speed and battery stand still while the car moves, if that is unusual."""
-    pair = ("voltage", "current")
-    names = ["speed", *(pair if signals.keys() >= set(pair) else signals.keys() & {"power"})]
-    time, speed = signals["speed"].points()
-    points = [signals[name].points() for name in names]
-    if len(names) < 2 or min(at.size for at, _ in points) < LEAST_REPEATS:
-        return []
-    alive = (signals[name].points() for name in ALIVE if name in signals)
-    changes = [at[1:][np.diff(value) != 0.0] for at, value in (*points, *alive)]
-    gaps = np.flatnonzero(np.diff(time, append=np.inf) > LONGEST_STEP)
-    ends = (time[:1], np.nextafter(time[gaps], np.inf), time[gaps[:-1] + 1])
-    edges = np.unique(np.concatenate((*ends, *changes)))
-    of_each = [
-        np.unique(np.concatenate((edges[[0, -1]], *ends, *of)))
-        for of in (changes[:1], changes[1 : len(names)])
-    ]
-    stands: dict[tuple[float, ...], list[Stand]] = {}
-    for at in np.flatnonzero(np.diff(edges) >= LEAST_LOST).tolist():
-        begin, end = edges[at], edges[at + 1]
-        firsts, lasts = zip(*(of.searchsorted((begin, end)) for of, _ in points), strict=True)
-        inside = time[firsts[0] : lasts[0]]
-        if min(np.subtract(lasts, firsts)) >= LEAST_REPEATS and speed[firsts[0]] != 0.0:
-            key = tuple(
-                float(value[first]) for first, (_, value) in zip(firsts, points, strict=True)
-            )
-            stand = Stand(firsts[0], lasts[0] - 1, begin, inside[-1] - begin, key[0])
-            stands.setdefault(key, []).append(stand)
-    # Values that come back to the last digit are those of a car that is simulated.
-    once = [alike[0] for alike in stands.values() if len(alike) == 1]
-    lost = [
-        stand
-        for stand in once
-        if max(_run(of, stand.begin) for of in of_each) <= ALONE * stand.seconds
-    ]
-    moving = np.count_nonzero(speed)
-    still = sum(stand.last + 1 - stand.first for of_key in stands.values() for stand in of_key)
-    usual = len(lost) > MOST_LOST and still > USUALLY * moving
-    return [] if usual or moving - still < LEAST_EVENTS else lost
-
-
-def _run(changes: FloatArray, begin: float) -> float:
-    """Length of the stretch without a change that holds a moment, s."""
-    after = int(changes.searchsorted(begin, side="right"))
-    return float(changes[after] - changes[after - 1])
 
 
 def _stands(signal: Signal) -> Iterator[Stand]:

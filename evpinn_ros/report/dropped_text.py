@@ -12,6 +12,7 @@ WORDS = {
     "acceleration_impossible": "speeds that change faster than tyres allow",
     "battery_beyond_car": "battery readings beyond what this car can give",
     "battery_doubled": "battery readings with the same time as another",
+    "both_lie_on_straight_lines": "rows in which speed and battery lie on straight lines",
     "both_stand_still": "rows in which speed and battery stand still while the car moves",
     "current_stands_still": "currents that stand still while the car does not",
     "battery_late": "battery readings that came too late",

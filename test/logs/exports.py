@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
 import math
 from pathlib import Path
@@ -18,6 +18,7 @@ from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.sources import open_drive
 
 START = datetime(2024, 3, 5, 7, 8, 9)
+LONGEST_STEP = 15.0  # s; over more, nothing is known
 FloatArray = NDArray[np.float64]
 
 
@@ -34,13 +35,26 @@ class Drive:
 
     @property
     def distance(self) -> float:
-        """Way, m."""
-        return float(np.trapezoid(self.speed, self.time))
+        """Way, m, but for holes."""
+        return _integral(self.time, self.speed)
 
     @property
     def energy(self) -> float:
-        """Energy out of the battery, J."""
-        return float(np.trapezoid(self.voltage * self.current, self.time))
+        """Energy out of the battery, J, but for holes."""
+        return _integral(self.time, self.voltage * self.current)
+
+    def rows(self, chosen: NDArray[np.intp]) -> Drive:
+        """The drive in some of its moments."""
+        return Drive(*(getattr(self, field.name)[chosen] for field in fields(Drive)))
+
+    def bridged(self, first: int, after: int) -> Drive:
+        """The drive with straight lines between two rows."""
+        inside = slice(first, after + 1)
+        values = {}
+        for name in ("speed", "voltage", "current", "odometer", "charge"):
+            values[name] = getattr(self, name).copy()
+            values[name][inside] = np.linspace(*values[name][[first, after]], after + 1 - first)
+        return replace(self, **values)
 
 
 def simulated(
@@ -84,7 +98,9 @@ def _signal(points: Sequence[tuple[int, float]]) -> tuple[FloatArray, FloatArray
 
 
 def _integral(times: FloatArray, values: FloatArray) -> float:
-    return float(np.trapezoid(values, times)) if times.size > 1 else math.nan
+    steps = np.diff(times)
+    steps[steps > LONGEST_STEP] = 0.0
+    return float((values[1:] + values[:-1]) @ steps) / 2 if times.size > 1 else math.nan
 
 
 def opened(folder: Path, text: str | bytes, name: str = "drive.csv", **options: object) -> Source:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 import math
 import random
@@ -49,10 +49,11 @@ DECOYS = {
 ONE_WAY = "Battery discharge current", "Battery charge current"
 FAULTS = (
     *("lost signs", "clipped", "speed 0", "constant voltage", "backwards", "one way", "whole"),
-    "frozen",
+    *("frozen", "bridged"),
 )
 DOUBTED = FAULTS[:4]  # by which the log alone does not tell what is right
-SHORTEST_FROZEN = 20.0  # s
+SHORTEST_FROZEN, SHORTEST_BRIDGED = 20.0, 60.0  # s
+LEAST_BRIDGED = 0.2  # of the largest speed and current
 SHORTEST_TOLD = 240.0  # s of a car's battery that tell driving from standing
 SLOWEST_TOLD = 2.0  # s between rows, up to which lone signs are told from hills
 START = datetime(2024, 3, 5, 9, 8, 9)
@@ -128,12 +129,20 @@ def random_export(seed: int) -> Export:
     is_short = light or drive.time[-1] < SHORTEST_TOLD
     if fault == "frozen" and drive.time[-1] - drive.time[_freezes(drive)] < SHORTEST_FROZEN:
         fault = ""
+    if fault == "bridged" and _bridge(drive) is None:
+        fault = ""
     if (fault == "lost signs" and step > SLOWEST_TOLD) or (fault == "speed 0" and is_short):
         fault = ""
     export.doubtful = fault in DOUBTED
     logged = _logged(drive, fault, seed)
+    ends = {0, drive.time.size - 1}
     if fault == "frozen":  # what the log has of the drive
-        export.drive = _until(drive, _freezes(drive))
+        ends.add(_freezes(drive))
+        export.drive = drive.rows(np.arange(_freezes(drive) + 1))
+    if fault == "bridged" and (bridge := _bridge(drive)):
+        ends |= set(bridge)
+        first, after = bridge
+        export.drive = drive.rows(np.r_[: first + 1, after : drive.time.size])
     columns = _columns(chance, logged, fault, LANGUAGES[language].split(","), CLOCKS[clock], clock)
     export.kind = {
         "seed": seed, "step": step, "light": light, "separator": separator, "comma": comma,
@@ -143,7 +152,6 @@ def random_export(seed: int) -> Export:
     names = list(columns)
     export.drive_columns = tuple(names[:3])
     chance.shuffle(names)
-    ends = {0, drive.time.size - 1, export.drive.time.size - 1}
     rows = _rows(chance, drive, names, columns, ends, comma=comma)
     layout = chance.choice(["wide"] * 6 + ["polled", "long"])
     if layout != "wide" and not clock.endswith("only"):
@@ -184,6 +192,8 @@ def _logged(drive: Drive, fault: str, seed: int) -> Drive:
         rows = np.minimum(last, there)
         names = ("speed", "voltage", "current", "odometer", "charge")
         return replace(drive, **{name: getattr(drive, name)[rows] for name in names})
+    if fault == "bridged" and (bridge := _bridge(drive)):
+        return drive.bridged(*bridge)
     if fault == "whole":
         return replace(drive, speed=np.rint(3.6 * drive.speed) / 3.6)
     return drive
@@ -195,9 +205,16 @@ def _freezes(drive: Drive) -> int:
     return half + int(np.argmax(drive.speed[half:] > 5.0))
 
 
-def _until(drive: Drive, row: int) -> Drive:
-    """The drive up to a row."""
-    return Drive(*(getattr(drive, field.name)[: row + 1] for field in fields(Drive)))
+def _bridge(drive: Drive) -> tuple[int, int] | None:
+    """Rows before and after a hole that an exporter fills with lines that rise or fall."""
+    first = _freezes(drive)
+    changes = [
+        np.abs(of - of[first]) > LEAST_BRIDGED * np.abs(of).max()
+        for of in (drive.speed, drive.current)
+    ]
+    fits = changes[0] & changes[1] & (drive.time > drive.time[first] + SHORTEST_BRIDGED)
+    fits[-1] = False
+    return (first, int(np.argmax(fits))) if fits.any() else None
 
 
 def _polled(
@@ -261,7 +278,7 @@ def _columns(
             columns[named(name, amp)] = lambda i, way=way: (
                 CURRENTS[amp] * max(way * drive.current[i], 0.0)
             )
-    elif chance.random() < 0.2 and fault != "constant voltage":
+    elif chance.random() < 0.2 and fault not in ("constant voltage", "bridged"):
         unit = chance.choice(sorted(POWERS))
         by = sign * POWERS[unit]
         columns[named(power, unit)] = lambda i: by * drive.voltage[i] * drive.current[i]

@@ -95,6 +95,16 @@ def dst(first: str, hours: int, at: int = 480) -> str:
     return "\n".join([lines[0], *(line(k, text) for k, text in enumerate(lines[1:]))])
 
 
+def in_another_zone(hours: int) -> str:
+    """Dates of a telephone that is in another time zone for five minutes."""
+
+    def line(t, *values):
+        moment = date(t + 3600 * hours * (300 <= t < 600))
+        return plain(t, *values).replace(date(t), moment)
+
+    return table(PLAIN, DRIVE, line)
+
+
 def repeated_with_power():
     """Rows three times, with power beside voltage and current."""
     line = "{t:.1f},{kmh:.2f},{volts:.2f},{amps:.2f},{watts:.1f}"
@@ -114,6 +124,8 @@ RIGHT: dict[str, tuple[Callable[[], str], str]] = {
     "three decimals and a torn row": (three_decimals_and_a_torn_row, ""),
     "autumn": (lambda: dst("2024-10-27 02", -1), ""),
     "spring": (lambda: dst("2024-03-31 01", 1), ""),
+    "two hours back and forth": (lambda: in_another_zone(-2), "rows stand in no order of time"),
+    "two hours forth and back": (lambda: in_another_zone(2), "rows stand in no order of time"),
     "LeafSpy without Speed2": (lambda: written(*LEAFSPY), ""),
     "rows repeated": (repeated_with_power, ""),
 }

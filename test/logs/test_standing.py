@@ -1,5 +1,6 @@
 """What stands still while the car does not is no reading, in a table, a bag and a CAN log."""
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -19,7 +20,12 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
+from evpinn_ros.core.signals.readings import (
+    NANOSECONDS,
+    AltitudeReading,
+    BatteryReading,
+    SpeedReading,
+)
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.sources import open_source
@@ -133,6 +139,45 @@ def test_nothing_is_measured_where_all_signals_stand_still(tmp_path, kind, stret
     lost = sum(stretch.stop - stretch.start - 1 for stretch in LOST[stretches])
     assert stamps == pytest.approx([DRIVE.time.size - lost] * 2, abs=2)
     assert f"speed and battery stand still from {LOST[stretches][0].start} s on" in source.notes[0]
+
+
+BRIDGES = {
+    "for three minutes": ((302, 480), 3),
+    "for twenty seconds": ((400, 420), 3),
+    "of whole amperes and tenths of m/s": ((302, 480), 1),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bridge", BRIDGES)
+def test_nothing_is_measured_where_all_signals_lie_on_lines(tmp_path, kind, bridge):
+    """An exporter fills a hole so, and a car of 1700 kg weighed 120 kg."""
+    (first, after), digits = BRIDGES[bridge]
+    drive = DRIVE.bridged(first, after)
+    drive = replace(drive, speed=drive.speed.round(digits), current=drive.current.round(digits))
+    source = kind(drive, tmp_path)
+    right = DRIVE.rows(np.r_[: first + 1, after : DRIVE.time.size])
+    assert measured(source) == pytest.approx((right.distance, right.energy), rel=0.01)
+    note = f"speed and battery lie on straight lines from {first} s on for {after - first - 1} s"
+    assert source.notes[0].startswith(note)
+
+
+@pytest.mark.parametrize("battery", ["voltage_v,current_a", "power_w"])
+def test_altitude_is_measured_in_a_hole_that_is_filled(tmp_path, battery):
+    first, after = 302, 480
+    drive = DRIVE.bridged(first, after)
+    power = DRIVE.voltage * DRIVE.current
+    power[first:after] = np.linspace(power[first], power[after], after - first, endpoint=False)
+
+    def line(t, v, u, i, *_):
+        cells = f"{u:.2f},{i:.2f}" if "voltage" in battery else f"{power[int(t)]:.0f}"
+        return f"{t:.0f},{v:.3f},{cells},{200 + 30 * math.sin(t / 50):.1f},{8 + 0.01 * t:.2f}"
+
+    header = f"t_s,speed_mps,{battery},elevation_m,ambient_c"
+    source = opened(tmp_path, table(header, drive, line))
+    kinds = Counter(type(reading) for reading in source.readings())
+    assert kinds[AltitudeReading] == DRIVE.time.size
+    assert kinds[SpeedReading] == kinds[BatteryReading] == DRIVE.time.size - (after - first - 1)
 
 
 COARSE = {

@@ -1,0 +1,199 @@
+"""Stretches in which nothing was measured while the car moves, though each row has its values.
+
+Where an adapter is lost, speed and battery stand still together. Where an exporter fills the hole,
+both lie on straight lines from the last row before it to the first one after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from evpinn_ros.logs.quantities import PLACES
+from evpinn_ros.logs.signal import LEAST_EVENTS, LONGEST_STEP, FloatArray, Signal
+
+LEAST_LOST = 15.0  # s: an even road under cruise control looks the same for less
+LEAST_REPEATS = 10  # readings
+ALONE = 2.0  # times that, speed or battery stand still without the other
+ALIVE = ("odometer", "elevation", "charge", *PLACES)  # which change while the car is measured
+MOST_LOST, USUALLY = 2, 0.5  # stretches, and readings that moves: a log that repeats all values
+WINDOW, HOP = 10.0, 5.0  # s: `LEAST_LOST` holds a window that begins at some hop
+# Resolutions that both speed and battery go: with 9, a driven car's values made a line for 13 s.
+LEAST_STEPS = 20
+ROUNDED = 1.0  # resolutions off a fitted line: half of one by rounding, and that of the fit
+FINEST = 1e-6  # of a value in SI units
+SHORTEST_STEP = 0.01  # s
+
+Points = tuple[FloatArray, FloatArray]
+
+
+class Stand(NamedTuple):
+    """A stretch in which a signal has one value, from its first point to its last."""
+
+    first: int
+    last: int
+    begin: float  # s
+    seconds: float
+    value: float
+
+    def holds(self, signal: Signal) -> Signal:
+        """The part of another signal that lies in it."""
+        inside = (signal.time >= self.begin) & (signal.time <= self.begin + self.seconds)
+        return Signal(signal.time[inside], signal.value[inside])
+
+
+def standing_together(signals: Mapping[str, Signal]) -> list[Stand]:
+    """Stretches in which speed and battery stand still while the car moves, if that is unusual."""
+    points = _speed_and_battery(signals)
+    if not points:
+        return []
+    time, speed = points[0]
+    alive = (signals[name].points() for name in ALIVE if name in signals)
+    changes = [at[1:][np.diff(value) != 0.0] for at, value in (*points, *alive)]
+    gaps = np.flatnonzero(np.diff(time, append=np.inf) > LONGEST_STEP)
+    ends = (time[:1], np.nextafter(time[gaps], np.inf), time[gaps[:-1] + 1])
+    edges = np.unique(np.concatenate((*ends, *changes)))
+    of_each = [
+        np.unique(np.concatenate((edges[[0, -1]], *ends, *of)))
+        for of in (changes[:1], changes[1 : len(points)])
+    ]
+    stands: dict[tuple[float, ...], list[Stand]] = {}
+    for at in np.flatnonzero(np.diff(edges) >= LEAST_LOST).tolist():
+        begin, end = edges[at], edges[at + 1]
+        firsts, lasts = zip(*(of.searchsorted((begin, end)) for of, _ in points), strict=True)
+        inside = time[firsts[0] : lasts[0]]
+        if min(np.subtract(lasts, firsts)) >= LEAST_REPEATS and speed[firsts[0]] != 0.0:
+            key = tuple(
+                float(value[first]) for first, (_, value) in zip(firsts, points, strict=True)
+            )
+            stand = Stand(firsts[0], lasts[0] - 1, begin, inside[-1] - begin, key[0])
+            stands.setdefault(key, []).append(stand)
+    # Values that come back to the last digit are those of a car that is simulated.
+    once = [alike[0] for alike in stands.values() if len(alike) == 1]
+    lost = [
+        stand
+        for stand in once
+        if max(_run(of, stand.begin) for of in of_each) <= ALONE * stand.seconds
+    ]
+    return lost if _are_unusual(lost, chain(*stands.values()), speed) else []
+
+
+def straight_together(signals: Mapping[str, Signal]) -> list[Stand]:
+    """Stretches in which speed and battery change along straight lines, if that is unusual.
+
+    A stretch ends before the row that is measured again.
+    """
+    points = _speed_and_battery(signals)
+    if not points:
+        return []
+    time, speed = points[0]
+    lines = [Line.of(*of) for of in points]
+    filled, straight = [], []
+    for begin, end in _straight_spans(lines):
+        first, last = (int(row) for row in time.searchsorted((begin, end)) - (0, 2))
+        if not speed[first : last + 1].any():
+            continue
+        stand = Stand(first, last, time[first], time[last] - time[first], speed[first])
+        straight.append(stand)
+        changes = min(lines[0].steps(begin, end), lines[-1].steps(begin, end)) >= LEAST_STEPS
+        if changes and stand.seconds >= LEAST_LOST:
+            filled.append(stand)
+    return filled if _are_unusual(filled, straight, speed) else []
+
+
+def measured_on(signals: Mapping[str, Signal], stand: Stand) -> set[str]:
+    """Names of what a receiver or the car's counters went on to measure in a stretch."""
+    begin, end = stand.begin, stand.begin + stand.seconds
+    alive = {name: signals[name].points() for name in ALIVE if name in signals}
+    return {
+        name
+        for name, points in alive.items()
+        if points[0].size and not Line.of(*points).holds(begin, end)
+    }
+
+
+class Line(NamedTuple):
+    """A signal that may lie on a straight line: its points and the unit of its last digit."""
+
+    time: FloatArray
+    value: FloatArray
+    resolution: float
+
+    @classmethod
+    def of(cls, time: FloatArray, value: FloatArray) -> Line:
+        """The line of points in order of time, shape (n,) each."""
+        apart = np.diff(np.unique(value))
+        return cls(time, value, float(min(apart[apart > FINEST], default=FINEST)))
+
+    def holds(self, begin: float, end: float) -> bool:
+        """True if all points from `begin` to before `end` lie on it, without a gap."""
+        first, last = self.time.searchsorted((begin, end))
+        time, value = self.time[first:last], self.value[first:last]
+        if time.size < LEAST_REPEATS or np.diff(time).max() > LONGEST_STEP:
+            return False
+        time, value = time - time.mean(), value - value.mean()
+        spread = float(time @ time)
+        slope = float(time @ value) / spread if spread else 0.0
+        return bool(np.abs(value - slope * time).max() <= ROUNDED * self.resolution)
+
+    def steps(self, begin: float, end: float) -> float:
+        """How many resolutions it goes between two moments."""
+        first, last = self.time.searchsorted((begin, end))
+        return float(np.ptp(self.value[first:last])) / self.resolution
+
+
+def _straight_spans(lines: Sequence[Line]) -> Iterator[tuple[float, float]]:
+    """Longest spans, s, in which all signals lie on their lines, from which on to before which."""
+    time = lines[0].time
+    step = max(SHORTEST_STEP, *(float(np.median(np.diff(line.time))) for line in lines))
+    window = max(WINDOW, (LEAST_REPEATS + 1) * step)  # one cell may be missing
+    row = 0
+    while row < time.size and time[row] + window <= time[-1]:
+        begin, end = time[row], time[row] + window
+        following = begin + HOP
+        if all(line.holds(begin, end) for line in lines):
+            end = _extended(lines, begin, end, step, ahead=True)
+            yield _extended(lines, begin, end, step, ahead=False), end
+            following = end
+        row = int(time.searchsorted(following))
+
+
+def _extended(
+    lines: Sequence[Line], begin: float, end: float, step: float, *, ahead: bool
+) -> float:
+    """The end of the longest span on lines that holds one; its begin, unless `ahead`."""
+    time, reach = lines[0].time, end - begin
+    while reach > step / 4.0:
+        wider = (begin, end + reach) if ahead else (begin - reach, end)
+        is_in_drive = time[0] <= wider[0] and wider[1] <= time[-1] + step
+        if is_in_drive and all(line.holds(*wider) for line in lines):
+            begin, end = wider
+        else:
+            reach /= 2.0
+    return end if ahead else begin
+
+
+def _speed_and_battery(signals: Mapping[str, Signal]) -> list[Points]:
+    """Points of speed, voltage and current, or speed and power; none if any has too few."""
+    pair = ("voltage", "current")
+    names = ["speed", *(pair if signals.keys() >= set(pair) else signals.keys() & {"power"})]
+    points = [signals[name].points() for name in names]
+    enough = len(names) > 1 and min(at.size for at, _ in points) >= LEAST_REPEATS
+    return points if enough else []
+
+
+def _are_unusual(found: Sequence[Stand], alike: Iterable[Stand], speed: FloatArray) -> bool:
+    """True unless most of a drive is `alike`, or all of it."""
+    moving = np.count_nonzero(speed)
+    still = sum(stand.last + 1 - stand.first for stand in alike)
+    usual = len(found) > MOST_LOST and still > USUALLY * moving
+    return bool(not usual and moving - still >= LEAST_EVENTS)
+
+
+def _run(changes: FloatArray, begin: float) -> float:
+    """Length of the stretch without a change that holds a moment, s."""
+    after = int(changes.searchsorted(begin, side="right"))
+    return float(changes[after] - changes[after - 1])
