@@ -7,12 +7,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+NUMPYS = np.ndarray, np.float64, float
 Columns = TypeVar("Columns", bound=tuple[Any, ...])
 
 
 def namespace(array: Any) -> Any:
     """numpy, or torch for its tensors."""
-    if type(array) is np.ndarray or type(array).__module__.partition(".")[0] != "torch":
+    if type(array) in NUMPYS or type(array).__module__.partition(".")[0] != "torch":
         return np
     import torch
 

@@ -151,7 +151,8 @@ class Breakdown(Totals):
             groups = [tuple(sorted(a + b)), *(g for g in groups if g not in (a, b))]
 
     def _variance(self, group: tuple[Part, ...]) -> float:
-        return float(self.covariance[np.ix_(group, group)].sum())
+        index = list(group)
+        return float(self.covariance[index][:, index].sum())
 
     def _sigma(self, group: tuple[Part, ...]) -> float:
         return math.sqrt(max(0.0, self._variance(group)))

@@ -468,7 +468,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             alignments += self._aligner.learn(block)
         begun = self._seconds_begun(block.of_kind(SpeedReading).stamps)
         events = self._stream.add(block, newest, intervals=len(begun) > 0)
-        told_ns = np.append(self._told_ns, self._stamps_told(block, course))
+        told_ns = np.concatenate((self._told_ns, self._stamps_told(block, course)))
         passed = told_ns.searchsorted(events.smoothed.stamp_ns[-1:], side="right")
         self._told_ns = told_ns[max(0, *(passed - 1)) :] if len(passed) else told_ns
         measured = self._admitted(events.measured, course)
@@ -622,7 +622,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         waiting = self._predictions[kind].and_then(new)
         stamps = measured.samples.stamp_ns
         index = waiting.stamp_ns.searchsorted(stamps)
-        checkable = checkable & (np.append(waiting.stamp_ns, NEVER)[index] == stamps)
+        checkable = checkable & (np.concatenate((waiting.stamp_ns, (NEVER,)))[index] == stamps)
         index, place = index[checkable], place[checkable]
         error = np.abs(measured.power[checkable] - waiting.power[index])
         columns = place, waiting.moving[index], error, waiting.sigma[index]

@@ -68,9 +68,9 @@ class Network(NamedTuple):
         Speed, m/s, and force at the wheels over the mass, m/s^2, have shape (n,); numpy or torch.
         """
         xp = namespace(speed)
-        inner, bias, outer = (
-            like(weights, speed) for weights in (self.inner, self.bias, self.outer)
-        )
+        inner, bias, outer = self.inner, self.bias, self.outer
+        if xp is not np:
+            inner, bias, outer = (like(weights, speed) for weights in (inner, bias, outer))
         of_speed = ((speed - SPEED_CENTRE) / SPEED_SCALE)[..., None] * inner[:, 0]
         of_force = (force / FORCE_SCALE)[..., None] * inner[:, 1]
         return xp.tanh(of_speed + of_force + bias) @ outer

@@ -95,6 +95,8 @@ class Outputs(NamedTuple):
         """Each output with the stamp of the reading that completed it, in order of these."""
         rows: list[tuple[int, Output]] = []
         for kind, columns in self.powers():
+            if not len(columns.power):
+                continue
             lists = [column.tolist() for column in columns]
             rows += [(row[0], PowerEstimate(kind, *row[1:])) for row in zip(*lists, strict=True)]
         rows += [(learned.known_ns, learned.parameters) for learned in self.learned]

@@ -122,9 +122,9 @@ class PinnLearner(Saveable[SavedPinn]):
         parts: list[Predictions] = []
         while True:
             stamps = span.smoothed.stamp_ns
-            seen_ns = stamps[:1] if self._seen_ns is None else self._seen_ns
-            passed_ns = np.diff(stamps, prepend=seen_ns)
-            pauses = np.flatnonzero((passed_ns > PARKED_NS) | (passed_ns < 0))
+            seen_ns = stamps[:1] if self._seen_ns is None else (self._seen_ns,)
+            passed_ns = stamps - np.concatenate((seen_ns, stamps[:-1]))[: len(stamps)]
+            (pauses,) = ((passed_ns > PARKED_NS) | (passed_ns < 0)).nonzero()
             if not len(pauses):
                 return joined_predictions([*parts, self._follow(span, passed_ns)])
             first, span = span.cut(int(pauses[0]))
@@ -145,11 +145,11 @@ class PinnLearner(Saveable[SavedPinn]):
         kinds = slice(count), slice(count, count + passed), slice(count + passed, None)
         newest, smoothed, measured = kinds
         learned = self._learnable(span.measured, span.power)
-        learned_ns = np.append(self._trim_ns, span.measured.stamp_ns[learned])
+        learned_ns = np.concatenate(((self._trim_ns,), span.measured.stamp_ns[learned]))
         residuals = (span.power - power[measured])[learned]
         trim = self._trim.learned(rows[measured][learned], residuals, _seconds(learned_ns))
         self._trim, self._trim_ns = trim.last(), int(learned_ns[-1])
-        learned_of = np.append(0, np.cumsum(learned))  # of the first so many measured samples
+        learned_of = np.concatenate(((0,), learned.cumsum()))  # of the first so many
         index = np.concatenate((
             learned_of[span.newest_learned],
             learned_of[span.smoothed_learned],

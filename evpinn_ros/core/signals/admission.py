@@ -128,11 +128,10 @@ class Admission:
                 counts[index] = False
 
     def _why_not_speed(self, stamp_ns: int, speed: float) -> str | None:
-        near = [self._speed, self._leapt]
-        self._leapt = None
-        if self._speed is None or any(
-            other is not None and not _leaps(*other, stamp_ns, speed) for other in near
-        ):
+        leapt, self._leapt = self._leapt, None
+        now = stamp_ns, speed
+        confirmed = leapt is not None and not _leaps(*leapt, *now)
+        if self._speed is None or confirmed or not _leaps(*self._speed, *now):
             self._speed = stamp_ns, speed
             return None
         self._leapt = stamp_ns, speed

@@ -84,11 +84,11 @@ class Block:
         stamps = np.concatenate([np.empty(0, np.int64), *(some.stamps for some in rows.values())])
         places = np.empty(len(stamps), np.int64)
         places[stamps.argsort(kind="stable")] = np.arange(len(stamps))
-        parts = np.split(
-            places, np.cumsum([len(some.stamps) for some in rows.values()], dtype=int)
-        )[:-1]
-        placed = zip(rows.items(), parts, strict=True)
-        return cls(len(stamps), {kind: some._replace(order=part) for (kind, some), part in placed})
+        placed, begin = {}, 0
+        for kind, (_, own, values) in rows.items():
+            placed[kind] = Rows(places[begin : begin + len(own)], own, values)
+            begin += len(own)
+        return cls(len(stamps), placed)
 
     def __len__(self) -> int:
         return self.length

@@ -209,8 +209,9 @@ def _interpolated(latest: Sequence[tuple[int, float]], after_ns: Sequence[int]) 
         moment_ns += now_ns
         while place > 0 and latest[place - 1][0] >= moment_ns:
             place -= 1
-        (end_ns, speed), (begin_ns, before) = latest[place], latest[max(place - 1, 0)]
+        end_ns, speed = latest[place]
         if end_ns > moment_ns and place > 0:
+            begin_ns, before = latest[place - 1]
             speed += (moment_ns - end_ns) / (end_ns - begin_ns) * (speed - before)
         speeds.append(speed)
     return speeds

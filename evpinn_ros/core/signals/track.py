@@ -128,7 +128,7 @@ class SignalTrack:
 
     def first_after(self, moments: np.ndarray) -> np.ndarray:
         """Stamps of the first readings from moments on, `LATER` where there is none."""
-        return np.append(self.stamps, LATER)[self.stamps.searchsorted(moments)]
+        return np.concatenate((self.stamps, (LATER,)))[self.stamps.searchsorted(moments)]
 
     def last(self, moments: np.ndarray) -> np.ndarray:
         """Last values at moments or before; NaN where they are too long ago. Shape (n,)."""
