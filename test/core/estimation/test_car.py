@@ -55,5 +55,5 @@ def test_uneven_speed_is_learned_with_the_drive(town):
     assert not driven.unevenness.metres.any()
     uneven = driven.begin_drive().unevenness
     way = sum(interval.distance for interval in town)
-    assert uneven.metres.sum() == pytest.approx(way, rel=0.01) and uneven.driven.max() > 0.0
+    assert uneven.metres.sum() == pytest.approx(way, rel=0.01) and uneven.by_drives.max() > 0.0
     assert not Unevenness.none().metres.any()
