@@ -12,6 +12,7 @@ import numpy as np
 from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.logs.apps import app_of
 from evpinn_ros.logs.quantities import (
+    BACK,
     BY_COLUMN,
     NEEDED,
     QUANTITIES,
@@ -25,12 +26,8 @@ from evpinn_ros.logs.quantities import (
 from evpinn_ros.logs.signal import FloatArray, Signal
 
 SIGNED = ("current", "power")
-# How the name of what is drawn differs from that of what flows back: by any pair of these.
+# The name of what is drawn differs from that of what flows back by any pair of these and `BACK`.
 DRAWN = ("discharge", "discharging", "discharged", "drive", "drawn", "consumed", "out", "output")
-BACK = (
-    *("charge", "charging", "charged", "regen", "regenerated", "regenerative", "regeneration"),
-    *("recuperation", "recuperated", "returned", "in", "input"),
-)
 UNIT_WORDS, VALUE_WORDS = {"unit", "units", "einheit", "uom"}, {"value", "val", "wert"}
 LONGEST_LIST = 200  # characters of column names in a message
 EMPTY = "empty"

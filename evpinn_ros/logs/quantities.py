@@ -87,7 +87,12 @@ _OTHERS = (
 _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,speed,time"
 # Of a voltage that the app has computed from the measured one, or that the battery has at rest.
 _COMPUTED = "corrected,compensated,open circuit,ocv,estimated,filtered,smoothed,nominal,simulated"
-_CHARGED = ",charge,charging,charged,returned,regenerated,in"
+# Words of what flows back, which give way to those of what is drawn.
+BACK = (
+    *("charge", "charging", "charged", "regen", "regenerated", "regenerative", "regeneration"),
+    *("recuperation", "recuperated", "returned", "in", "input"),
+)
+_CHARGED = "," + ",".join(BACK)
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 
 QUANTITIES: Mapping[str, ColumnQuantity] = {
