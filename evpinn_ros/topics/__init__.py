@@ -38,7 +38,7 @@ class Qos:
     depth: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)  # each is made once, and a key of many tables
+@dataclass(frozen=True, slots=True)
 class Topic:
     """A topic of the contract: its name, type, content and quality of service."""
 
