@@ -95,14 +95,14 @@ def plan_scores(data: str, key: str, seed: int = 0) -> list[PlanScore]:
     rows = list(_planned(car, seed))
     scores = []
     for speeds, resolution, method in product(CLASSES, RESOLUTIONS, METHODS):
-        own = [
+        forecasts = [
             row
             for row in rows
             if (row.resolution, row.method) == (resolution, method)
             and CLASSES[speeds][0] <= row.speed < CLASSES[speeds][1]
         ]
-        if own:
-            scores.append(_score(key, speeds, own))
+        if forecasts:
+            scores.append(_score(key, speeds, forecasts))
     return scores
 
 

@@ -361,7 +361,9 @@ def _call(name: str, value: Any, *, wide: bool = False) -> str:
     named = [p.kind is p.KEYWORD_ONLY for p in given]
     if True in named:
         arguments.insert(named.index(True), "*")
-    listed = "".join(f"\n    {each}," for each in arguments) if wide else ", ".join(arguments)
+    listed = (
+        "".join(f"\n    {argument}," for argument in arguments) if wide else ", ".join(arguments)
+    )
     result = "" if inspect.isclass(value) else f" -> {signature.return_annotation}"
     return f"{name}({listed}\n){result}" if wide else f"{name}({listed}){result}"
 

@@ -185,11 +185,11 @@ def _speed_and_battery(signals: Mapping[str, Signal]) -> list[Points]:
     return points if enough else []
 
 
-def _are_unusual(found: Sequence[Stand], alike: Iterable[Stand], speed: FloatArray) -> bool:
+def _are_unusual(stands: Sequence[Stand], alike: Iterable[Stand], speed: FloatArray) -> bool:
     """True unless most of a drive is `alike`, or all of it."""
     moving = np.count_nonzero(speed)
     still = sum(stand.last + 1 - stand.first for stand in alike)
-    usual = len(found) > MOST_LOST and still > USUALLY * moving
+    usual = len(stands) > MOST_LOST and still > USUALLY * moving
     return bool(not usual and moving - still >= LEAST_EVENTS)
 
 

@@ -23,16 +23,18 @@ def totals(drives: Sequence[Drive]) -> dict[str, Any]:
     """Values of `--metrics` under `totals`, of one drive or of several in their order."""
     sums = [counted(drive) for drive in drives]
     energies = [total.energy for total in sums if not math.isnan(total.energy)]
-    known = math.fsum(total.known for total in sums)
+    measured_m = math.fsum(total.known for total in sums)
     energy = math.fsum(energies) if energies else None
     charges = [drive.charge[:, 1] for drive in drives if len(drive.charge)]
-    per_metre = energy / known if energy is not None and known >= CONSUMPTION_METRES else None
+    per_metre = (
+        energy / measured_m if energy is not None and measured_m >= CONSUMPTION_METRES else None
+    )
     return {
         "start": _start(drives[0]),
         "distance_m": math.fsum(total.distance for total in sums),
         "duration_s": math.fsum(drive.driven_s for drive in drives),
         "energy_kwh": _kwh(energy),
-        "measured_m": known,
+        "measured_m": measured_m,
         "kwh_per_100km": None if per_metre is None else per_metre / KWH_PER_100KM,
         "charged_kwh": _kwh(math.fsum(total.charged for total in sums)),
         "charge_first_percent": 100.0 * float(charges[0][0]) if charges else None,

@@ -116,7 +116,7 @@ def _explained(difference: Breakdown, units: Units) -> str:
         ]
 
     sign = 1.0 if total > 0.0 else -1.0
-    known, against = named(sign, 0.0), named(-sign, least)
+    explained, against = named(sign, 0.0), named(-sign, least)
     open_parts = [
         name
         for name, amount in parts
@@ -125,8 +125,8 @@ def _explained(difference: Breakdown, units: Units) -> str:
         and max(abs(amount.kwh), amount.sigma_kwh) > least
     ]
     sentences = [
-        f"Explained by {listed(known)}."
-        if known
+        f"Explained by {listed(explained)}."
+        if explained
         else "No part explains it beyond 2 sigma: these drives do not show why.",
         f"Against that: {listed(against)}." if against else "",
         f"Not known well enough to say: {listed(open_parts)}." if open_parts else "",

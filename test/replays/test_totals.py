@@ -70,8 +70,8 @@ def test_totals_of_two_drives_add_up(tmp_path):
     assert float(table[-1]["health.percent"] or "nan") == pytest.approx(
         drives[-1]["health"]["percent"] or math.nan, nan_ok=True
     )
-    known = {re.sub("<.*?>", "*", metric.key) for metric in METRICS}
-    assert all(any(fnmatch(key, pattern) for pattern in known) for key in table[0])
+    documented = {re.sub("<.*?>", "*", metric.key) for metric in METRICS}
+    assert all(any(fnmatch(key, pattern) for pattern in documented) for key in table[0])
     total = of_all["totals"]
     for name in ("distance_m", "duration_s", "energy_kwh", "charged_kwh"):
         sum_of_both = sum(of_one["totals"][name] for of_one in drives)

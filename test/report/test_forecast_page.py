@@ -65,11 +65,11 @@ def test_a_plan_unlike_what_was_driven_says_so():
     """Town has taught all of the car but its drag: a motorway is the vehicle file's."""
     planned = planned_energy(FINE, "bmw_i3")
     car = planned.basis.model.car
-    known = np.full(len(car.mean), 0.1)
-    known[State.DRAG_AREA_OVER_ETA] = 1.0
+    share = np.full(len(car.mean), 0.1)
+    share[State.DRAG_AREA_OVER_ETA] = 1.0
     learned = replace(
         car,
-        covariance=known[:, None] * car.covariance * known,
+        covariance=share[:, None] * car.covariance * share,
         record=TrackRecord(drives=5.0),
     )
 

@@ -675,5 +675,5 @@ class EnergyAccount(Saveable[SavedAccount]):
 
 def _is_possible(power: Any, sigma: Any, most: float) -> Any:
     """Whether power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
-    known = (sigma >= 0.0) & (sigma <= MAX_POWER)
-    return (abs(power) <= most) & (known | (sigma != sigma))
+    possible = (sigma >= 0.0) & (sigma <= MAX_POWER)
+    return (abs(power) <= most) & (possible | (sigma != sigma))

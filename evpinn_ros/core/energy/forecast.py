@@ -242,11 +242,11 @@ class PlannedEnergy(NamedTuple):
         """Sentence where drives have taught little of such a plan; None else, and before any."""
         row, car = self.energies.end.row[LASTING], self.basis.model.car
         lasting = np.ix_(LASTING, LASTING)
-        known, file = (
+        learned, file = (
             float(row @ covariance[lasting] @ row)
             for covariance in (car.covariance, car.equation.covariance)
         )
-        if not car.record.drives or known < HARDLY_DRIVEN**2 * file:
+        if not car.record.drives or learned < HARDLY_DRIVEN**2 * file:
             return None
         return "this car has hardly driven so, and the 1-sigma is mostly that of its vehicle file"
 

@@ -395,7 +395,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             told /= self._similarity.size
             if self._stuck.verdict.detected == BATTERY_STUCK:
                 told = math.nan
-            power, sigma = self._persistence.add_one(stamp_ns, power, sigma, told_ns, told)
+            power, sigma = self._persistence.add(stamp_ns, power, sigma, told_ns, told)
         moving, size = abs(speed) > STANDSTILL_SPEED, self._similarity.size
         self._predicted.append((stamp_ns, power, sigma, moving))
         sigma *= self._bands[PowerKind.PREDICTED].scale(moving=moving)
@@ -504,9 +504,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             return predicted
         told = newest.told_power / self._similarity.size
         if not course.is_quiet:
-            known = newest.known_ns.tolist()
-            told[[course.at(ns).detected == BATTERY_STUCK for ns in known]] = np.nan
-        return self._persistence.add(newest.samples.stamp_ns, predicted, newest.told_ns, told)
+            watermarks = newest.known_ns.tolist()
+            told[[course.at(ns).detected == BATTERY_STUCK for ns in watermarks]] = np.nan
+        columns = newest.samples.stamp_ns, *predicted.T, newest.told_ns, told
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return np.array([self._persistence.add(*row) for row in rows]).reshape(-1, 2)
 
     def _stamps_told(self, block: Block, course: VerdictCourse) -> np.ndarray:
         """Stamps of a block at which the battery measured power, ns."""
@@ -526,9 +528,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Power that battery readings measure, at their own stamps, when they come."""
         used = ~np.isnan(told.power) & (told.age_ns <= self._stream.battery.voltage.gap_ns())
         if not all(course.is_quiet for course in self._courses):
-            sound = [self._is_sound(ns) for ns in told.watermark_ns.tolist()]
+            sound = [self._is_sound(ns) for ns in told.battery.watermark_ns.tolist()]
             used &= np.array(sound, dtype=bool)
-        stamps, power = told.stamps[used] - self._aligner.shift_ns, told.power[used]
+        stamps, power = told.battery.stamps[used] - self._aligner.shift_ns, told.power[used]
         size = self._similarity.size
         sigma = size * sensor_sigma(power / size, told.coarse[used] / size)
         return PowerRows.of(stamps, stamps, power, sigma)

@@ -153,15 +153,10 @@ class NewestTrack:
             speeds = NO_ARRIVALS
         motor = arrived.get(MotorReading)
         before = np.maximum.accumulate(np.append(self._speed.newest_ns, speeds.stamps))[:-1]
-        newer = speeds.stamps > before
-        order, stamps, known_ns, speed = (
-            column[newer] for column in (speeds.order, speeds.stamps, speeds.watermark_ns,
-                                         speeds.values[0])
-        )  # fmt: skip
-        differences, slopes = self._moved(stamps, speed)
-        power = self._motor_power(motor, order, stamps, speed)
-        battery = self.battery.before_each(order, stamps, told)
-        return NewestSpeeds(stamps, known_ns, speed, differences, slopes, power, *battery)
+        speeds = speeds.where(speeds.stamps > before)
+        speed, battery = speeds.values[0], self.battery.before_each(speeds, told)
+        moved = *self._moved(speeds.stamps, speed), self._motor_power(motor, speeds)
+        return NewestSpeeds(speeds.stamps, speeds.watermark_ns, speed, *moved, *battery)
 
     def _moved(self, stamps: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differences and slopes of speed at moments; nothing is joined across a gap."""
@@ -183,12 +178,10 @@ class NewestTrack:
         differences, slopes = map(np.concatenate, zip(*parts, strict=True))
         return differences, slopes
 
-    def _motor_power(
-        self, motor: Arrived | None, order: np.ndarray, stamps: np.ndarray, speed: np.ndarray
-    ) -> np.ndarray:
+    def _motor_power(self, motor: Arrived | None, speeds: Arrived) -> np.ndarray:
         """Power by the last torque that came before speeds, W; NaN where it is too long ago."""
         if motor is None and math.isnan(self._torque):
-            return np.full(len(stamps), np.nan)
+            return np.full(len(speeds.stamps), np.nan)
         told_ns, values = np.array([self._motor_ns]), np.array([[self._torque], [self._turning]])
         places = np.empty(0)
         if motor is not None:
@@ -196,10 +189,10 @@ class NewestTrack:
             values = np.concatenate((values, motor.values), axis=1)
             self._motor_ns, places = int(told_ns[-1]), motor.order
             self._torque, self._turning = values[:, -1].tolist()
-        which = places.searchsorted(order)
+        which = places.searchsorted(speeds.order)
         told_ns, (torque, turning) = told_ns[which], values[:, which]
-        power = torque * np.where(np.isnan(turning), self._ratio * speed, turning)
-        return np.where(stamps - told_ns <= self._max_gap * NANOSECONDS, power, np.nan)
+        power = torque * np.where(np.isnan(turning), self._ratio * speeds.values[0], turning)
+        return np.where(speeds.stamps - told_ns <= self._max_gap * NANOSECONDS, power, np.nan)
 
 
 def _interpolated(latest: Sequence[tuple[int, float]], after_ns: Sequence[int]) -> list[float]:

@@ -55,6 +55,10 @@ class Arrived(NamedTuple):
     values: np.ndarray
     watermark_ns: np.ndarray
 
+    def where(self, chosen: np.ndarray) -> Arrived:
+        """The readings of a mask."""
+        return Arrived._make(column[..., chosen] for column in self)
+
 
 class ReorderBuffer:
     """Sorts the readings of one car by stamps.

@@ -21,26 +21,22 @@ class ToldPower(NamedTuple):
     """Powers of n battery readings as they came; of a current alone, with the last voltage.
 
     Attributes:
-        order: their places among all readings of the block, shape (n,).
-        stamps: ns, shape (n,).
+        battery: the readings.
         power: W, NaN where no voltage was told before, shape (n,).
         age_ns: of the voltage, shape (n,).
-        coarse: W, 1-sigma where it is not the sensor's own, shape (n,).
-        watermark_ns: the watermark before each came, shape (n,).
     """
 
-    order: np.ndarray
-    stamps: np.ndarray
+    battery: Arrived
     power: np.ndarray
     age_ns: np.ndarray
-    coarse: np.ndarray
-    watermark_ns: np.ndarray
+
+    @property
+    def coarse(self) -> np.ndarray:
+        """1-sigma where it is not the sensor's own, W, shape (n,)."""
+        return np.asarray(self.battery.values[COARSE])
 
 
-NOTHING = np.empty(0)
-NOTHING_TOLD = ToldPower(
-    NO_BATTERY.order, NO_BATTERY.stamps, NOTHING, NOTHING, NOTHING, NO_BATTERY.watermark_ns
-)
+NOTHING_TOLD = ToldPower(NO_BATTERY, *np.empty((2, 0)))
 
 
 class ToldTrack:
@@ -77,28 +73,22 @@ class ToldTrack:
         last = np.maximum.accumulate(np.where(np.isnan(volts), 0, np.arange(len(volts))))
         self._voltage, self._voltage_ns = float(volts[last[-1]]), int(volts_ns[last[-1]])
         volts, age_ns = volts[last[1:]], stamps - volts_ns[last[1:]]
-        power = drawn_power(volts, current)
-        coarse = battery.values[COARSE]
-        return ToldPower(battery.order, stamps, power, age_ns, coarse, battery.watermark_ns)
+        return ToldPower(battery, drawn_power(volts, current), age_ns)
 
-    def before_each(
-        self, order: np.ndarray, stamps: np.ndarray, told: ToldPower
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """As `before`, for each of n moments, of what had come by then; shape (n,) each.
+    def before_each(self, speeds: Arrived, told: ToldPower) -> tuple[np.ndarray, np.ndarray]:
+        """As `before`, for each of n speeds, of what had come by then; shape (n,) each.
 
-        Args:
-            order: places of the moments among all readings of the block, shape (n,).
-            stamps: of the moments, ns, shape (n,).
-            told: the powers of this block, which are the latest from here on.
+        The powers `told` in this block are the latest from here on.
         """
-        known = ~np.isnan(told.power)
-        places = np.concatenate((np.full(len(self._latest), -1), told.order[known]))
-        latest = np.array(self._latest or np.empty((0, 2)), dtype=object).reshape(-1, 2)
-        told_ns = np.concatenate((latest[:, 0].astype(np.int64), told.stamps[known]))
-        power = np.concatenate((latest[:, 1].astype(float), told.power[known]))
+        measured = ~np.isnan(told.power)
+        battery = told.battery
+        places = np.concatenate((np.full(len(self._latest), -1), battery.order[measured]))
+        latest_ns, latest = np.array(self._latest or np.empty((0, 2)), dtype=object).T
+        told_ns = np.concatenate((latest_ns.astype(np.int64), battery.stamps[measured]))
+        power = np.concatenate((latest.astype(float), told.power[measured]))
         newer = told_ns > np.maximum.accumulate(np.append(NEVER, told_ns))[:-1]
         places, told_ns, power = places[newer], told_ns[newer], power[newer]
-        kept = slice(-MOST_LATEST // 2, None)
-        self._latest = [*zip(told_ns[kept].tolist(), power[kept].tolist(), strict=True)]
-        which = np.minimum(places.searchsorted(order), told_ns.searchsorted(stamps))
+        last = slice(-MOST_LATEST // 2, None)
+        self._latest = [*zip(told_ns[last].tolist(), power[last].tolist(), strict=True)]
+        which = np.minimum(places.searchsorted(speeds.order), told_ns.searchsorted(speeds.stamps))
         return np.append(NEVER, told_ns)[which], np.append(np.nan, power)[which]

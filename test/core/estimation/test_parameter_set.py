@@ -176,10 +176,12 @@ def test_a_value_that_is_all_prior_again_is_unestimated(prior):
     """Whatever is known of its combination (`learned`: share of this, and own 1-sigma)."""
     judge = TrustHysteresis()
 
-    def trust(own: float) -> Trust:
+    def trust(own_share: float) -> Trust:
         parameters = parameter_set(0, learned(prior, 0.5)).parameters
         parameters["mass"] = replace(
-            parameters["mass"], prior_share=own, trust=ESTIMATING if own < 0.9 else UNESTIMATED
+            parameters["mass"],
+            prior_share=own_share,
+            trust=ESTIMATING if own_share < 0.9 else UNESTIMATED,
         )
         judged = judge.judge(
             replace(parameter_set(0, learned(prior, 0.5)), parameters=parameters),
@@ -188,7 +190,7 @@ def test_a_value_that_is_all_prior_again_is_unestimated(prior):
         )
         return judged.parameters["mass"].trust
 
-    assert [trust(own) for own in (0.8, 0.95, 1.0, 0.95)] == [
+    assert [trust(own_share) for own_share in (0.8, 0.95, 1.0, 0.95)] == [
         ESTIMATING, ESTIMATING, UNESTIMATED, UNESTIMATED,
     ]  # fmt: skip
 

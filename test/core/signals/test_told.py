@@ -40,7 +40,7 @@ def test_one_by_one_is_as_in_arrays(rows: list, cut: int):
     """Whatever comes late, doubled, without voltage or without current."""
     single, blocks = ToldTrack(), ToldTrack()
     buffers = ReorderBuffer(0.3), ReorderBuffer(0.3)
-    expected, found = [], []
+    expected, in_blocks = [], []
     rows = [type(r)(r.stamp_ns * MILLISECOND_NS, *_values(r)) for r in rows]
     for reading in rows:
         used, _ = buffers[0].add_reading(reading)
@@ -51,9 +51,9 @@ def test_one_by_one_is_as_in_arrays(rows: list, cut: int):
     for part in (rows[:cut], rows[cut:]):
         _, arrived = buffers[1].add(Block.of(part))
         told = blocks.add(arrived.get(BatteryReading, NO_BATTERY))
-        order, stamps, *_ = arrived.get(SpeedReading, NO_ARRIVALS)
-        found += [*zip(*blocks.before_each(order, stamps, told), strict=True)]
-    np.testing.assert_array_equal(found, expected)
+        speeds = arrived.get(SpeedReading, NO_ARRIVALS)
+        in_blocks += [*zip(*blocks.before_each(speeds, told), strict=True)]
+    np.testing.assert_array_equal(in_blocks, expected)
 
 
 def _values(reading: SpeedReading | BatteryReading) -> tuple[float, ...]:
