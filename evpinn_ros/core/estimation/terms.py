@@ -363,28 +363,12 @@ class Equation:
 
     def rows_of(self, samples: Samples, warmth: Warmth) -> np.ndarray:
         """Power at n samples by each state, W per unit, shape (n, SIZE): the energy of 1 s."""
-        v = np.abs(samples.speed)
-        flow = v + samples.head_wind
-        kinetic = samples.speed * samples.acceleration
-        climb = samples.speed * np.sin(samples.grade)
-        power = samples.motor_power
-        drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
-        moved = np.ones_like(v), v, flow * np.abs(flow) * v, kinetic, climb, drive, brake
-        return self.rows_along(moved, samples, warmth)
+        return self.rows_along(moved_of(samples), samples, warmth)
 
     def row_of(self, sample: Sample, warmth: Warmth) -> np.ndarray:
-        """`rows_of` of one sample, by numbers, shape (SIZE,)."""
-        speed, power = np.float64(sample.speed), np.float64(sample.motor_power)
-        v = abs(speed)
-        flow = v + sample.head_wind
-        kinetic, climb = speed * sample.acceleration, speed * math.sin(sample.grade)
-        drive, brake = np.maximum(power, 0.0), np.maximum(-power, 0.0)
-        moved = v, flow * abs(flow) * v, kinetic, climb, drive, brake
-        steps = Steps._make((np.float64(1.0), *moved, sample.motor_scaled))
-        celsius, load = sample.celsius, sample.known_auxiliary
-        celsius = MILD_CELSIUS if math.isnan(celsius) else celsius
-        around = Conditions(sample.air_density, sample.head_wind, celsius, load, load > 0.0)
-        return self.rows(steps, around, warmth)
+        """`rows_of` of one sample, shape (SIZE,), without arrays of one row."""
+        steps = Steps._make((*moved_of(sample), sample.motor_scaled))
+        return self.rows(steps, conditions_of(sample), warmth)
 
     def rows_along(
         self, moved: tuple[np.ndarray, ...], samples: Samples, warmth: Warmth
@@ -476,8 +460,19 @@ def coldness(celsius: Any) -> Any:
     return below * (below > 0.0) / 10.0
 
 
-def conditions_of(samples: Samples) -> Conditions:
-    """Surroundings of samples; a temperature that is not known is that of a mild day."""
-    celsius = np.where(np.isnan(samples.celsius), MILD_CELSIUS, samples.celsius)
+def moved_of(samples: Samples | Sample) -> tuple[Any, ...]:
+    """Steps of 1 s at samples, or at one: columns of `Steps` up to `motor_brake`."""
+    v = np.abs(samples.speed)
+    flow = v + samples.head_wind
+    kinetic = samples.speed * samples.acceleration
+    climb = samples.speed * np.sin(samples.grade)
+    power = samples.motor_power
+    drive, brake = np.maximum(power, 0.0), np.maximum(np.negative(power), 0.0)
+    return np.ones_like(v), v, flow * np.abs(flow) * v, kinetic, climb, drive, brake
+
+
+def conditions_of(samples: Samples | Sample) -> Conditions:
+    """Surroundings of samples, or of one; an unknown temperature is that of a mild day."""
+    celsius = np.where(np.isnan(samples.celsius), MILD_CELSIUS, samples.celsius)[()]
     load = samples.known_auxiliary
     return Conditions(samples.air_density, samples.head_wind, celsius, load, load > 0.0)
