@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 import math
 
-from evpinn_ros.core.estimation.posterior import initial_state, learn, passed
+from evpinn_ros.core.estimation.posterior import initial_state, interval_terms, learn
 from evpinn_ros.core.estimation.states import PHYSICS, State
 from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.signals.block import Block
@@ -76,7 +76,7 @@ does not use the battery. Some of the states:
 ## What the battery adds
 
 `learn` (`core/estimation/posterior.py`) lets the time of the interval pass (`advance`) and
-corrects the states by the difference between the measured and the predicted energy (`condition`).
+corrects the states by the difference between the measured and the predicted energy (`update`).
 This difference is {residual:+.2f} kJ, with a 1-sigma of {sigma:.2f} kJ. Nearly all of this
 uncertainty comes from the states; the noise contributes {noise:.2f} kJ. Each state changes by
 {residual:+.2f} kJ times its covariance with the prediction, divided by the variance.
@@ -100,12 +100,12 @@ def page() -> str:
     driven = intervals(given, vehicle)
     interval = max(driven, key=lambda piece: float(piece.steps.kinetic.sum()))
     equation = Equation(vehicle)
-    done = passed(equation, interval, 0.0)
+    done = interval_terms(equation, interval, 0.0)
     row, before = done.journey.row, initial_state(equation)
     after, innovation = learn(before, equation, done)
     whole = before
     for piece in driven:
-        whole, _ = learn(whole, equation, passed(equation, piece, whole.seconds))
+        whole, _ = learn(whole, equation, interval_terms(equation, piece, whole.seconds))
     products = {state: row[state] * equation.mean[state] for state in SHOWN}
     predicted = float(row @ equation.mean)
     mixtures = [state.mixture() for state in (before, after, whole)]

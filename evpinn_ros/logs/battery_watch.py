@@ -16,10 +16,10 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
 )
 from evpinn_ros.logs.contradictions import energy_doubts, never_back, wrong_sign
+from evpinn_ros.logs.frozen_values import Standing
 from evpinn_ros.logs.quantities import PLACES
 from evpinn_ros.logs.signal import Signal, battery_power, pull, speeds_up_and_down
 from evpinn_ros.logs.source import STRAGGLING_NS
-from evpinn_ros.logs.standing import Standing
 
 STATED = "it is negative while the battery discharges, and every energy has the other sign"
 BLOCK = 20_000  # readings that are judged together

@@ -40,6 +40,7 @@ from evpinn_ros.logs.column import (
     unused_columns,
 )
 from evpinn_ros.logs.contradictions import contradictions, doubts
+from evpinn_ros.logs.frozen_values import Standing, measured_alone
 from evpinn_ros.logs.numbers import filled, is_missing, to_floats
 from evpinn_ros.logs.quantities import (
     ANGLES,
@@ -55,7 +56,6 @@ from evpinn_ros.logs.rows_to_blocks import MOST, HeldSignals, RowBlocks, RowOrde
 from evpinn_ros.logs.signal import LEAST_EVENTS, Signal, last_known
 from evpinn_ros.logs.source import Source
 from evpinn_ros.logs.split_numbers import joined_table
-from evpinn_ros.logs.standing import Standing, measured_alone
 from evpinn_ros.logs.survey import (
     MOST_ROWS,
     OTHER_SHEETS,

@@ -14,7 +14,7 @@ from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.car_model import CarModel
 from evpinn_ros.core.estimation.journey import NOWHERE
-from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.posterior import interval_terms
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.signals.interval import Interval
 
@@ -73,7 +73,7 @@ def check_forecast_is_the_replay(model: CarModel, done: list[Interval]) -> None:
     done = as_planned(done)
     journey, seconds = NOWHERE, model.seconds
     for interval in done:
-        journey = journey.plus(passed(model.equation, interval, seconds).journey)
+        journey = journey.plus(interval_terms(model.equation, interval, seconds).journey)
         seconds += interval.duration
     planned = PowerModel(model)
     # Early in a drive its heating may yet stray, which a replay does not count.

@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from exports import Drive, date, measured, opened, simulated, table
-from test_standing import VEHICLE, of_bag, of_can_log, readings
+from test_frozen_values import VEHICLE, of_bag, of_can_log, readings
 
 from evpinn_ros import topics
 from evpinn_ros.bags.types import new_message

@@ -11,7 +11,7 @@ from evpinn_ros.core.energy.forecaster import Forecaster
 from evpinn_ros.core.energy.plan import plan_from_speed_profile
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, vehicle_model
 from evpinn_ros.core.energy.remaining import usual_cost
-from evpinn_ros.core.estimation.pinn import PinnLearner
+from evpinn_ros.core.estimation.hybrid import HybridLearner
 from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -169,7 +169,7 @@ def implausible(model):
 def test_no_finite_model_leaves_a_plan_unanswered(bench):
     node = bench.start(EnergyNode)
     bench.listen(*ANSWERS)
-    good = PinnLearner(VEHICLE).model()
+    good = HybridLearner(VEHICLE).model()
     before = answer_of(bench, node)
     for topic, message in implausible(good):
         bench.deliver(node, topic, message)

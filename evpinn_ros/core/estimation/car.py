@@ -28,8 +28,8 @@ from evpinn_ros.core.estimation.posterior import (
     forget_present,
     forget_road,
     initial_state,
+    interval_terms,
     learn,
-    passed,
 )
 from evpinn_ros.core.estimation.published import Driven
 from evpinn_ros.core.estimation.rehearsal import Rehearsal, Rehearsals
@@ -200,7 +200,7 @@ class LearnedCar:
         seconds = self.state.seconds + self.dropout.seconds
         return replace(
             self._along(interval),
-            dropout=self.dropout.plus(passed(self.equation, interval, seconds).journey),
+            dropout=self.dropout.plus(interval_terms(self.equation, interval, seconds).journey),
             rehearsals=replace(self.rehearsals, dropouts={}),
             known_ns=interval.start_ns if self.measured else self.known_ns,
         )
@@ -208,7 +208,7 @@ class LearnedCar:
     def _with(self, interval: Interval) -> LearnedCar:
         """The car after an interval whose battery was measured."""
         equation, before = self.equation, self._after_dropout()
-        done = passed(equation, interval, before.seconds)
+        done = interval_terms(equation, interval, before.seconds)
         rehearsals, bands = self.rehearsals.learn(
             before, equation, done.journey, abs(interval.distance), interval.energy
         )

@@ -99,7 +99,7 @@ class PaperOptimizer(str, Enum):
 
 
 LEARNERS: Mapping[Mode, str] = {
-    Mode.HYBRID: "evpinn_ros.core.estimation.pinn",
+    Mode.HYBRID: "evpinn_ros.core.estimation.hybrid",
     Mode.PAPER: "evpinn_ros.extras.paper.learner",  # loads torch
 }
 """Module of each mode, imported when it is asked for, and its `new_learner(vehicle, settings)`."""

@@ -4,7 +4,7 @@ A `CarState` is a value: nothing in it is changed, so a copy is a reference, and
 without the battery or tries another mass simply goes on from one. The functions are pure:
 
 - `advance` lets time pass: the wandering load forgets itself (Ornstein and Uhlenbeck);
-- `condition` learns from a measured energy (a Kalman filter's update);
+- `update` learns from a measured energy (a Kalman filter's update);
 - `learn` does both, for an interval and what the bus reported in it.
 
 All is linear, so one update after another is the same estimate as one solve over a window of
@@ -169,7 +169,7 @@ class Residual(NamedTuple):
     sigma: float
 
 
-class PassedInterval(NamedTuple):
+class IntervalTerms(NamedTuple):
     """An interval by the equation of a car.
 
     Attributes:
@@ -204,15 +204,15 @@ def initial_state(equation: Equation) -> CarState:
     )
 
 
-def passed(equation: Equation, interval: Interval, seconds: float) -> PassedInterval:
+def interval_terms(equation: Equation, interval: Interval, seconds: float) -> IntervalTerms:
     """An interval by the equation of a car, so many s after the start of a drive."""
     warmth = Warmth.after(seconds)
     wheels = equation.of_steps(interval.steps, interval.conditions)
     rows = equation.rows(interval.steps, interval.conditions, warmth, wheels)
-    return PassedInterval(interval, wheels, rows, journey_of(interval, rows.sum(0)), warmth)
+    return IntervalTerms(interval, wheels, rows, journey_of(interval, rows.sum(0)), warmth)
 
 
-def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[CarState, Residual]:
+def learn(state: CarState, equation: Equation, done: IntervalTerms) -> tuple[CarState, Residual]:
     """The state after an interval whose battery was measured, and its innovation."""
     interval, conditions = done.interval, done.interval.conditions
     state = advance(state, interval.duration, unseen_of(interval))
@@ -220,20 +220,20 @@ def learn(state: CarState, equation: Equation, done: PassedInterval) -> tuple[Ca
     if interval.steps.motor_known:
         rows = equation.motor_rows(interval.steps, conditions, done.warmth, done.wheels)
         state = see_motor(state, rows, speed_squared(interval.steps))
-    return condition(state, done.journey, interval.energy, _sampling_variance(state, done))
+    return update(state, done.journey, interval.energy, _sampling_variance(state, done))
 
 
-def _sampling_variance(state: CarState, passed: PassedInterval) -> float:
+def _sampling_variance(state: CarState, done: IntervalTerms) -> float:
     """Variance of the energy of an interval due to the rate of its readings, J^2.
 
     Of a log with seconds between its rows it is that of the predicted power. By the measured one
     an interval that missed a burst of power would be trusted, and one that caught it doubted.
     """
-    duration = passed.interval.steps.duration
+    duration = done.interval.steps.duration
     step = float(np.median(duration))
     if step < SPARSE:
-        return passed.interval.sampling_variance
-    power = passed.rows @ (state.weights @ state.mean) / duration
+        return done.interval.sampling_variance
+    power = done.rows @ (state.weights @ state.mean) / duration
     apart = (duration[1:] + duration[:-1]) / 2.0
     bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ apart**2)
     return bridge + (TIMING * step) ** 2 * float(power[0] ** 2 + power[-1] ** 2)
@@ -261,7 +261,7 @@ def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
     return state.with_gaussian(Gaussian(mean, covariance), seconds=state.seconds + seconds)
 
 
-def condition(
+def update(
     state: CarState, journey: Journey, energy: float, sampling: float
 ) -> tuple[CarState, Residual]:
     """Learn from the energy, J, of a journey that has just passed (`advance` first).

@@ -27,7 +27,7 @@ from evpinn_ros.core.estimation.breakdown import MOSTLY_UNSEEN, climb_as_rolling
 from evpinn_ros.core.estimation.evidence import Evidence, evidence, file_prior
 from evpinn_ros.core.estimation.gaussian import Gaussian
 from evpinn_ros.core.estimation.journey import unseen_of
-from evpinn_ros.core.estimation.posterior import CarState, PassedInterval, initial_state
+from evpinn_ros.core.estimation.posterior import CarState, IntervalTerms, initial_state
 from evpinn_ros.core.estimation.states import NAMES, PHYSICS, SIZE, State, known_names
 from evpinn_ros.core.estimation.terms import (
     BESIDE,
@@ -98,7 +98,7 @@ class Driven:
         columns[:, ours] = self.cross[:, theirs]
         return replace(self, cross=columns[:, BESIDE], names=Driven.nowhere().names)
 
-    def plus(self, done: PassedInterval) -> Driven:
+    def plus(self, done: IntervalTerms) -> Driven:
         """With one more interval; of one with motor torque the way alone: its rows differ."""
         interval, wheels = done.interval, done.wheels
         now = self._farther(abs(interval.distance), float(done.warmth.tyres), unseen_of(interval))

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.truth import CarChain
 from evpinn_ros.core.estimation.evidence import SIZE, Evidence, evidence
-from evpinn_ros.core.estimation.pinn import PinnLearner
+from evpinn_ros.core.estimation.hybrid import HybridLearner
 from evpinn_ros.core.estimation.published import evidence_of
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.replays.simulation.drive import DriveKind
@@ -52,7 +52,7 @@ def test_in_other_units_about_another_origin_it_is_the_same_likelihood():
 
 
 def test_the_prior_alone_is_no_evidence():
-    likelihood = PinnLearner(LEAF).evidence()
+    likelihood = HybridLearner(LEAF).evidence()
     assert not likelihood.precision.any() and not likelihood.information.any()
 
 

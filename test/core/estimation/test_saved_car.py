@@ -11,7 +11,7 @@ import pytest
 
 from evpinn_ros.common.saved_fields import StateError, plain, read
 from evpinn_ros.core.estimation.car import LearnedCar
-from evpinn_ros.core.estimation.pinn import PinnLearner
+from evpinn_ros.core.estimation.hybrid import HybridLearner
 from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.saved_car import saved_state, state_of
 from evpinn_ros.core.estimation.states import NAMES, OFFSETS, SAVED_BEFORE, SIZE, State
@@ -87,7 +87,7 @@ OF_THE_PROCESS = (
 
 
 def test_every_field_of_a_learned_car_is_saved_or_ends_with_the_process(learned_car):
-    learner = PinnLearner(CAR)
+    learner = HybridLearner(CAR)
 
     def saved(car):
         learner._car = car
@@ -147,7 +147,7 @@ def test_a_state_of_a_later_version_is_left_out(learned):
 @pytest.fixture(scope="module")
 def saved(town) -> dict:
     """What a learner saves after that drive."""
-    learner = PinnLearner(CAR)
+    learner = HybridLearner(CAR)
     for interval in town:
         learner.add_interval(interval)
     update = learner.prepare_update()
@@ -174,7 +174,7 @@ def without(saved: dict, state: State) -> dict:
 
 @pytest.mark.parametrize("state", [State.TURNING, State.LOAD_DRIVE])
 def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
-    older, same = PinnLearner(CAR), PinnLearner(CAR)
+    older, same = HybridLearner(CAR), HybridLearner(CAR)
     older.restore(without(saved, state))
     same.restore(saved)
     model, before = older.model(), same.model()
@@ -190,7 +190,7 @@ def test_a_car_of_an_older_version_goes_on_learning(saved, town, state):
 
 
 def test_of_a_state_that_a_file_lacks_its_driving_has_nothing(saved):
-    older, learner, cross = deepcopy(saved), PinnLearner(CAR), np.array(saved["driven"]["cross"])
+    older, learner, cross = deepcopy(saved), HybridLearner(CAR), np.array(saved["driven"]["cross"])
     assert cross[:, BESIDE.index(State.TURNING)].any()
     learner.restore(without(saved, State.TURNING))
     cross[:, BESIDE.index(State.TURNING)] = 0.0

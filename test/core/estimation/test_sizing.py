@@ -9,7 +9,7 @@ import pytest
 
 from evpinn_ros.core.estimation.estimate import PowerEstimate
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
-from evpinn_ros.core.estimation.pinn import PinnLearner
+from evpinn_ros.core.estimation.hybrid import HybridLearner
 from evpinn_ros.core.estimation.sizing import Intervals, Sizing, _intervals, size_of
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.block import Block
@@ -113,7 +113,7 @@ def test_of_a_vehicle_that_gives_nothing_back_no_power_is_predicted_to_come(monk
         return min(power.power for power in powers if power.stamp_ns > known_ns)
 
     assert least() >= 0.0
-    monkeypatch.setattr(PinnLearner, "_possible", lambda _, power: power)
+    monkeypatch.setattr(HybridLearner, "_possible", lambda _, power: power)
     assert least() < 0.0
 
 

@@ -15,7 +15,7 @@ from evpinn_ros.core.energy.account import EnergyAccount, SavedAccount
 from evpinn_ros.core.energy.meter import EnergyMeter
 from evpinn_ros.core.energy.rknn import load_rknn
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
-from evpinn_ros.core.estimation.pinn import SavedPinn
+from evpinn_ros.core.estimation.hybrid import SavedHybrid
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.extras.paper.learner import SavedPaper
@@ -52,12 +52,12 @@ def leaves(kind, prefix=()):
 PLACES = [
     (mode, (*prefix, *path), field)
     for mode, kind, prefix in (
-        (Mode.HYBRID, SavedPinn, ("learner",)),
+        (Mode.HYBRID, SavedHybrid, ("learner",)),
         (Mode.PAPER, SavedPaper, ("learner",)),
         (ACCOUNT, SavedAccount, ()),
     )
     for path, field in leaves(kind)
-    # Of the posterior and its sums `test_pinn` has the refusals: what fits is a matter of shapes.
+    # Of the posterior and its sums `test_hybrid` has the refusals: what fits is a matter of shapes.
     if path[0] not in ("car", "driven", "uneven")
 ]
 every_place = pytest.mark.parametrize("place", PLACES, ids=lambda p: ".".join(map(str, p[1])))

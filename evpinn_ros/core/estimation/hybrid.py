@@ -72,7 +72,7 @@ SILENT_NS = NANOSECONDS  # without the battery, then energy is predicted
 
 
 @dataclass(frozen=True, slots=True)
-class SavedPinn:
+class SavedHybrid:
     """Everything learned of a car; `seen_ns` is the newest stamp."""
 
     car: CarState
@@ -85,7 +85,7 @@ class SavedPinn:
     uneven: Unevenness = field(default_factory=Unevenness.none)
 
 
-class PinnLearner(Saveable[SavedPinn]):
+class HybridLearner(Saveable[SavedHybrid]):
     """Learner of `mode: hybrid`."""
 
     learns_samples = False
@@ -338,9 +338,9 @@ class PinnLearner(Saveable[SavedPinn]):
         self.forget_window()
         self._use(self._car.begin_drive(compare=self._keep_drives, goes_on=goes_on))
 
-    def saved(self) -> SavedPinn:
+    def saved(self) -> SavedHybrid:
         """What was learned of the car, without the road and the seconds of now."""
-        return SavedPinn(
+        return SavedHybrid(
             car=saved_state(self._car.judged()),
             uneven=self._car.uneven(),
             hills=self._car.hills.next_drive(),
@@ -351,7 +351,7 @@ class PinnLearner(Saveable[SavedPinn]):
             seen_ns=self._seen_ns,
         )
 
-    def take(self, saved: SavedPinn) -> None:
+    def take(self, saved: SavedHybrid) -> None:
         """Go on from a saved state."""
         state = state_of(saved.car, self._equation)
         car = replace(
@@ -389,6 +389,6 @@ def _seconds(stamps: np.ndarray) -> np.ndarray:
     return np.maximum(np.diff(stamps), 0) / NANOSECONDS
 
 
-def new_learner(vehicle: Vehicle, settings: EstimatorSettings) -> PinnLearner:
+def new_learner(vehicle: Vehicle, settings: EstimatorSettings) -> HybridLearner:
     """The learner of `mode: hybrid`."""
-    return PinnLearner(vehicle, seed=settings.seed, keep_drives=settings.keep_drives)
+    return HybridLearner(vehicle, seed=settings.seed, keep_drives=settings.keep_drives)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from evpinn_ros.core.estimation.hybrid import PARKED_NS, HybridLearner
 from evpinn_ros.core.estimation.learner import Span, joined_predictions
-from evpinn_ros.core.estimation.pinn import PARKED_NS, PinnLearner
 from evpinn_ros.core.estimation.states import LASTING, NAMES, State
 from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.signals.kinematics import PROFILE
@@ -42,18 +42,18 @@ def span(**columns) -> Span:
     )
 
 
-def predicted(learner: PinnLearner, tick: int) -> Predicted:
+def predicted(learner: HybridLearner, tick: int) -> Predicted:
     """The prediction of a smoothed sample, up to which time passes."""
     told_ns = np.array([getattr(learner, "told_ns", NEVER)])
     outputs = learner.follow(span(smoothed=Samples.of([sample(tick)]), battery_ns=told_ns))
     return Predicted(*outputs.smoothed[0], *outputs.energies[0])
 
 
-def battery_measured(learner: PinnLearner, tick: int) -> None:
+def battery_measured(learner: HybridLearner, tick: int) -> None:
     learner.told_ns = sample(tick).stamp_ns  # of the last reading, which goes with each span
 
 
-def observe(learner: PinnLearner, moment: Sample, power: float) -> None:
+def observe(learner: HybridLearner, moment: Sample, power: float) -> None:
     """Let it learn from a measured sample."""
     measured = Samples.of([moment])
     learner.follow(span(measured=measured, power=np.array([power]), place=np.zeros(1, np.int64)))
@@ -66,8 +66,8 @@ def town(vehicle, as_prior):
 
 
 @pytest.fixture(scope="module")
-def learned(vehicle, town) -> PinnLearner:
-    taught = PinnLearner(vehicle)
+def learned(vehicle, town) -> HybridLearner:
+    taught = HybridLearner(vehicle)
     for interval in town:
         taught.add_interval(interval)
     assert taught.consider(taught.prepare_update()()) is None
@@ -75,7 +75,7 @@ def learned(vehicle, town) -> PinnLearner:
 
 
 @pytest.fixture
-def learner(learned) -> PinnLearner:
+def learner(learned) -> HybridLearner:
     return deepcopy(learned)
 
 
@@ -93,7 +93,7 @@ def test_an_update_works_on_a_copy_and_a_snapshot(learner, town, vehicle):
 
 
 def test_one_by_one_and_all_at_once_are_the_same(vehicle, town, learner):
-    other = PinnLearner(vehicle)
+    other = HybridLearner(vehicle)
     for interval in town:
         other.add_interval(interval)
         other.consider(other.prepare_update()())
@@ -147,7 +147,7 @@ def test_the_breakdown_goes_on_over_a_long_stop_and_begins_with_another_drive(le
 
 
 def test_the_breakdown_is_that_of_the_present_car_however_often_it_is_asked_for(vehicle, town):
-    learner, others = PinnLearner(vehicle), PinnLearner(vehicle)
+    learner, others = HybridLearner(vehicle), HybridLearner(vehicle)
     told = []
     for interval in town:
         for taught in (learner, others):
@@ -188,7 +188,7 @@ def test_a_silent_battery_gives_energy_with_a_sigma_and_its_return_ends_that(lea
 
 
 @pytest.fixture(scope="module")
-def drew_more(learned) -> PinnLearner:
+def drew_more(learned) -> HybridLearner:
     """For a minute, to its tick 600, the car drew 3 kW more than it does alone."""
     heavier = deepcopy(learned)
     alone = predicted(deepcopy(heavier), 0).power
@@ -217,7 +217,7 @@ def test_of_a_step_that_the_battery_saw_in_part_the_rest_counts(drew_more):
     assert second.energy == pytest.approx(0.1 * first.power + second.power, rel=0.03)
 
 
-def newest(learner: PinnLearner, *moments: Sample) -> np.ndarray:
+def newest(learner: HybridLearner, *moments: Sample) -> np.ndarray:
     """Predictions of newest moments, shape (n, 2)."""
     places = np.zeros(len(moments), np.int64)
     columns = {"newest_place": places, "newest_learned": places}
@@ -255,11 +255,11 @@ def saved_car(learner) -> dict:
 
 def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
     saved = saved_car(learner)
-    other = PinnLearner(vehicle)
+    other = HybridLearner(vehicle)
     other.restore(saved)
     assert saved_car(other) == saved
     assert other.parameters().identifiable == learner.parameters().identifiable
-    fresh = PinnLearner(vehicle)
+    fresh = HybridLearner(vehicle)
     before = saved_car(fresh)
     car, uneven = saved["car"], saved["uneven"]
     for wrong in (
@@ -277,7 +277,7 @@ def test_a_state_is_kept_and_what_does_not_fit_is_refused(learner, vehicle):
 def test_a_car_saved_before_hills_were_known_goes_on(learner, vehicle):
     saved = saved_car(learner)
     del saved["hills"]
-    other = PinnLearner(vehicle)
+    other = HybridLearner(vehicle)
     other.restore(saved)
     assert other.parameters().identifiable == learner.parameters().identifiable
 
@@ -300,7 +300,7 @@ def test_each_kind_of_samples_is_predicted_from_its_own(vehicle):
         columns = {"newest_place": one[: newest.size], "newest_learned": one[: newest.size]}
         battery_ns = one[: smoothed.size]
         both = span(newest=newest, smoothed=smoothed, battery_ns=battery_ns, **columns)
-        predictions = PinnLearner(vehicle).follow(both)
+        predictions = HybridLearner(vehicle).follow(both)
         return np.concatenate((predictions.newest, predictions.smoothed))
 
     alone = np.concatenate((powers(slow, NO_SAMPLES), powers(fast, NO_SAMPLES)))
