@@ -23,7 +23,7 @@ from benchmarks.unseen.scores import MOST_SIGMAS, QUANTILE_90, crps
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.journey import NOWHERE
 from evpinn_ros.core.estimation.learner import gate_interval
-from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.posterior import interval_terms
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.signals.interval import Interval
@@ -216,7 +216,7 @@ def _hidden(car: LearnedCar, intervals: Sequence[Interval]) -> _Hidden:
     model, journey, along = car.state.model(car.equation), NOWHERE, [0.0]
     for interval in intervals:
         seconds = car.state.seconds + journey.seconds
-        journey = journey.plus(passed(car.equation, interval, seconds).journey)
+        journey = journey.plus(interval_terms(car.equation, interval, seconds).journey)
         along.append(model.energy(journey).mean)
     energies = np.array([interval.energy for interval in intervals])
     errors = (np.diff(along) - energies) / [interval.duration for interval in intervals]

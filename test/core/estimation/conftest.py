@@ -11,7 +11,7 @@ import pytest
 
 from evpinn_ros.core.estimation.estimate import PowerEstimate, PowerKind
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, OnlineEstimator
-from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.posterior import interval_terms
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.interval import Interval, Steps
@@ -134,7 +134,7 @@ def measured(equation, drive, noise=0.0, seed=0, **factors) -> list[Interval]:
     return [
         replace(
             interval,
-            energy=float(passed(equation, interval, 0.0).journey.row @ truth)
+            energy=float(interval_terms(equation, interval, 0.0).journey.row @ truth)
             + rng.normal(0.0, noise),
             sampling_variance=0.0,
         )

@@ -20,7 +20,7 @@ from evpinn_ros.core.estimation.bands import (
 )
 from evpinn_ros.core.estimation.car import LearnedCar
 from evpinn_ros.core.estimation.journey import Journey
-from evpinn_ros.core.estimation.posterior import passed
+from evpinn_ros.core.estimation.posterior import interval_terms
 from evpinn_ros.core.estimation.terms import Equation, equation_of
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.interval import Interval
@@ -101,7 +101,7 @@ def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
 def errors(equation: Equation, states: list[LearnedCar], drive: list[Interval], count: int):
     """Errors in sigmas of dropouts of so many intervals that begin along a drive."""
     journeys = [
-        passed(equation, interval, car.state.seconds).journey
+        interval_terms(equation, interval, car.state.seconds).journey
         for interval, car in zip(drive, states, strict=False)
     ]
     for first in range(12, len(drive) - count, 3):

@@ -14,11 +14,11 @@ from evpinn_ros.core.estimation.posterior import (
     BANK,
     advance,
     begin_drive,
-    condition,
     initial_state,
+    interval_terms,
     learn,
-    passed,
     see_motor,
+    update,
 )
 from evpinn_ros.core.estimation.states import LASTING, OFFSETS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import HEATING, Warmth, equation_of
@@ -46,7 +46,7 @@ def town(intervals):
 def learned(drive):
     state = initial_state(EQUATION)
     for interval in drive:
-        state, _ = learn(state, EQUATION, passed(EQUATION, interval, state.seconds))
+        state, _ = learn(state, EQUATION, interval_terms(EQUATION, interval, state.seconds))
     return state
 
 
@@ -74,7 +74,7 @@ def test_one_after_the_other_is_one_solve_over_the_whole_window(monkeypatch):
     energy, sampling = rng.normal(size=count) * 1e5, 4e6
     for row, drawn in zip(rows, energy, strict=True):
         journey = Journey(row, seconds, np.zeros(3), 0.0)
-        state, _ = condition(advance(state, seconds), journey, drawn, sampling)
+        state, _ = update(advance(state, seconds), journey, drawn, sampling)
     left, integral, rest = wandered(seconds)
     for k in range(len(BANK)):
         # Loads of each interval as sums of independent numbers: start, then fresh ones.
@@ -148,7 +148,7 @@ def test_neither_battery_nor_motor_teaches_what_drives_differ_by():
         if math.isnan(interval.energy):
             continue
         told += interval.steps.motor_known
-        state, _ = learn(state, EQUATION, passed(EQUATION, interval, state.seconds))
+        state, _ = learn(state, EQUATION, interval_terms(EQUATION, interval, state.seconds))
     model = state.model(EQUATION)
     assert told > 10 and model.mean[State.LOSS_DRIVE] == 0.0
     others = np.delete(model.covariance[State.LOSS_DRIVE], State.LOSS_DRIVE)
@@ -167,13 +167,13 @@ def test_drives_differ_by_more_than_what_no_drive_showed(known):
 
 def test_a_dropout_is_less_and_less_sure_and_journeys_add_up(town, known):
     model, sigmas = known.model(EQUATION), []
-    first, second = (passed(EQUATION, interval, 300.0).journey for interval in town[:2])
+    first, second = (interval_terms(EQUATION, interval, 300.0).journey for interval in town[:2])
     both = first.plus(second)
     assert both.less(second).row == pytest.approx(first.row)
     assert both.share(0.5).seconds == pytest.approx(first.seconds)
     journey = NOWHERE
     for interval in town:
-        journey = journey.plus(passed(EQUATION, interval, 300.0).journey)
+        journey = journey.plus(interval_terms(EQUATION, interval, 300.0).journey)
         sigmas.append(model.predicted(journey)[1])
     assert (np.diff(sigmas) > 0.0).all()
     assert model.predicted(NOWHERE) == (0.0, 0.0)
@@ -194,7 +194,7 @@ def test_what_is_wrong_while_driving_says_nothing_of_a_car_that_stands(town):
         for i, (interval, speed) in enumerate(zip(town, way, strict=True))
     ]
     right, spoilt = (learned(4 * drive).model(EQUATION) for drive in (town, wrong))
-    journeys = [passed(EQUATION, interval, 600.0).journey for interval in town]
+    journeys = [interval_terms(EQUATION, interval, 600.0).journey for interval in town]
     still, fast = (journeys[way.index(speed)] for speed in (min(way), max(way)))
     assert spoilt.predicted(fast)[1] > 2.0 * right.predicted(fast)[1]
     assert spoilt.predicted(still)[1] < 1.3 * right.predicted(still)[1]
@@ -228,7 +228,8 @@ def test_what_the_hypotheses_were_worth_is_forgotten(town):
     head_start = np.arange(len(BANK)) * 3.0
     ahead = replace(state, evidence=state.evidence + head_start)
     level, biased = (
-        learn(start, EQUATION, passed(EQUATION, town[5], 30.0))[0] for start in (state, ahead)
+        learn(start, EQUATION, interval_terms(EQUATION, town[5], 30.0))[0]
+        for start in (state, ahead)
     )
     left = np.diff(biased.evidence - level.evidence)
     assert left == pytest.approx(3.0 * (1.0 - 1.0 / posterior.EVIDENCE_KEPT), abs=1e-9)
@@ -279,7 +280,7 @@ def test_of_a_sparse_log_no_interval_is_trusted_more_for_the_power_that_it_measu
     def sigma(interval, sampling):
         measured = replace(interval, sampling_variance=sampling)
         state = initial_state(EQUATION)
-        return learn(state, EQUATION, passed(EQUATION, measured, 0.0))[1].sigma
+        return learn(state, EQUATION, interval_terms(EQUATION, measured, 0.0))[1].sigma
 
     assert sigma(dense, 1e12) > 2.0 * sigma(dense, 1e6)
     assert sigma(sparse, 1e12) == sigma(sparse, 1e6)

@@ -57,7 +57,7 @@ PLACES = [
         (ACCOUNT, SavedAccount, ()),
     )
     for path, field in leaves(kind)
-    # Of the posterior and its sums `test_hybrid` has the refusals: what fits is a matter of shapes.
+    # `test_hybrid` has the refusals of the posterior and its sums: shapes must fit.
     if path[0] not in ("car", "driven", "uneven")
 ]
 every_place = pytest.mark.parametrize("place", PLACES, ids=lambda p: ".".join(map(str, p[1])))

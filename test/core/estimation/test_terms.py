@@ -86,6 +86,18 @@ def test_the_row_of_a_sample_is_that_of_it_among_others(samples):
     np.testing.assert_allclose(alone, rows, rtol=1e-9, atol=1e-9)
 
 
+def test_a_head_wind_is_driven_against():
+    """20 m/s against 5 m/s is the air of 25 m/s, along the way of 20."""
+    still, against = (
+        EQUATION.row_of(
+            Sample(0, 20.0, 0.0, 0.0, 1.2, 0.0, profile=(0.0,) * PROFILE, head_wind=w), START
+        )
+        for w in (0.0, 5.0)
+    )
+    drag = State.DRAG_AREA_OVER_ETA
+    assert against[drag] == pytest.approx(still[drag] * (25.0 / 20.0) ** 2)
+
+
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 11))
 def test_rows_of_steps_do_not_depend_on_their_neighbours(seed, cut):
