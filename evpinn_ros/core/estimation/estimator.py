@@ -287,7 +287,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._stream.reset()
         self._learner.forget_window()
         self._aligner.begin_stretch()
-        self._sizing = None  # the rest of the drive was learned as the vehicle that it is now
+        if self._sizing is not None:
+            self._sizing.begin_drive()
         self._begin_time()
 
     def flush(self) -> Outputs:
@@ -721,6 +722,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         learner.gated = self._learner.gated
         learner.restore(saved.learner)
         self.handle_time_jump()
+        self._sizing = None  # its size is known, or it was learned as the file's
         self._learner = learner
         self._align(saved.lag)
         self._vehicle, self._similarity = vehicle, Similarity(vehicle)

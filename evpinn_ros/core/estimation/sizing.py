@@ -3,14 +3,15 @@
 `generic` is a passenger car of two tonnes. Battery energy of intervals of ten seconds is linear in
 kinetic energy gained and lost, distance, the cube of the speed and time, and each coefficient goes
 with the size of the vehicle (`estimation.size`). So a Gaussian prior of the coefficients of a
-vehicle of each size has a likelihood, as has that of the passenger car. Only where the data are
-beyond what that car with its sigmas allows, a vehicle of another size takes its place.
+vehicle of each size has a likelihood. Passenger cars are of sizes near 1 and much alike, others
+of any size and shape. Only where the data are beyond what any such car allows, a vehicle of
+another size takes its place.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,14 +41,16 @@ LIKELY = math.log(1e3)  # odds of another size, from which on it is taken
 # From the car. Nearer ones (vans, city cars, three-wheelers of 800 kg) are within reach of its
 # priors: carried drives of such a three-wheeler gained nothing by another size.
 FAR = math.log(3.0)
-SURE = 0.36  # 1-sigma of the logarithm
+SURE = 3.0  # sigmas of the logarithm from the car
 ALIKE = 4.0  # neighbouring intervals of which one counts: their errors are alike
 NOISE_FLOOR = 0.05  # of the root mean square energy of an interval
 # Terms: kinetic energy gained, lost, weight times distance, drag, time. Of a car of two tonnes,
 # priors of `generic` with eta 0.88; the second is energy given back.
 CAR = np.array([2318.0, -1400.0, 18.0, 0.90, 500.0])
-CAR_SHARE = np.array([0.28, 0.5, 0.4, 0.35, 6.0])  # 3 kW of heating, say
-ANY_SHARE = np.array([0.4, 1.0, 0.8, 0.8, 1.5])  # of robots, three-wheelers, trucks and buses
+CAR_SHARE = np.array([0.15, 0.5, 0.4, 0.35, 6.0])  # 3 kW of heating, say
+CAR_STD = 0.28  # of the logarithm of its size
+# Of robots, three-wheelers, trucks and buses; the wings of race cars of 300 kg drag like vans.
+ANY_SHARE = np.array([0.3, 1.0, 0.8, 2.0, 1.5])
 DRAG = 3
 VOLTAGE, VOLTAGE_POWER, VOLTAGE_STD, CAR_VOLTAGE_STD = 360.0, 0.5, 0.6, 0.3  # std of logarithms
 
@@ -68,12 +71,12 @@ class Size(NamedTuple):
     @property
     def is_another(self) -> bool:
         """True if no passenger car is of this size."""
-        far = abs(math.log(self.value)) > FAR
-        return far and self.log_odds > LIKELY and self.std < SURE
+        far = abs(math.log(self.value)) > max(FAR, SURE * self.std)
+        return far and self.log_odds > LIKELY
 
 
 class Intervals(NamedTuple):
-    """Intervals of a drive.
+    """Intervals of one drive or more.
 
     Attributes:
         rows: terms, shape (n, 5).
@@ -85,9 +88,16 @@ class Intervals(NamedTuple):
     energy: np.ndarray
     volts: float
 
+    @staticmethod
+    def of_drives(drives: list[Intervals]) -> Intervals:
+        """The intervals of drives of one vehicle; the voltage is that of the newest with any."""
+        rows, energy, volts = zip(*drives, strict=True)
+        known = [volt for volt in volts if not math.isnan(volt)]
+        return Intervals(np.concatenate(rows), np.concatenate(energy), (math.nan, *known)[-1])
+
 
 class Sizing:
-    """Looks for the size of a vehicle during its first drive.
+    """Looks for the size of a vehicle during its first drives, until they tell it.
 
     Attributes:
         blocks: of the drive so far.
@@ -95,10 +105,19 @@ class Sizing:
     """
 
     def __init__(self) -> None:
-        self.blocks: list[Block] = []
         self.over = False
+        self._earlier: list[Intervals] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        self.blocks: list[Block] = []
         self._begin_ns: int | None = None
         self._look_ns = 0
+
+    def begin_drive(self) -> None:
+        """Go on with another drive of the same vehicle."""
+        self._earlier.append(_intervals(joined(self.blocks)))
+        self._begin()
 
     def due_ns(self, block: Block) -> int:
         """First stamp in a block, in order of stamps, from which to `look`; `LATER` if none is."""
@@ -116,7 +135,7 @@ class Sizing:
     def look(self) -> Size | None:
         """A size that is no passenger car's; None while none is known."""
         readings = joined(self.blocks)
-        intervals = _intervals(readings)
+        intervals = Intervals.of_drives([*self._earlier, _intervals(readings)])
         size, count = size_of(intervals), len(intervals.energy)
         is_car = size is not None and size.log_odds < 0.0 and count >= CAR_INTERVALS
         is_another = size is not None and size.is_another
@@ -136,21 +155,22 @@ def size_of(intervals: Intervals) -> Size | None:
     noise = ALIKE * (spread**2 + NOISE_FLOOR**2 * np.mean(energy**2))
     inside = np.abs(residual) < 4.0 * math.sqrt(noise)
     data = rows[inside].T @ rows[inside] / noise, rows[inside].T @ energy[inside] / noise
-    log_volts = math.log(volts / VOLTAGE)
-    scores = np.array(
-        [
-            _evidence(*data, size * _shaped(size), ANY_SHARE)
-            + _normal(log_volts, VOLTAGE_POWER * math.log(size), VOLTAGE_STD)
-            for size in SIZES
-        ]
-    )
-    car = _evidence(*data, CAR, CAR_SHARE) + _normal(log_volts, 0.0, CAR_VOLTAGE_STD)
+    log_volts, logs = math.log(volts / VOLTAGE), np.log(SIZES)
+    means = [size * _shaped(size) for size in SIZES]
+    voltage = _normal(log_volts, VOLTAGE_POWER * logs, VOLTAGE_STD)
+    scores = np.array([_evidence(*data, mean, ANY_SHARE) for mean in means]) + voltage
+    cars = np.array([_evidence(*data, mean, CAR_SHARE) for mean in means])
+    car = _log_mean(cars, _normal(logs, 0.0, CAR_STD)) + _normal(log_volts, 0.0, CAR_VOLTAGE_STD)
     weights = np.exp(scores - scores.max())
     weights /= weights.sum()
-    mean = float(weights @ np.log(SIZES))
-    std = math.sqrt(float(weights @ (np.log(SIZES) - mean) ** 2))
-    log_odds = float(scores.max() + math.log(np.mean(np.exp(scores - scores.max())))) - car
-    return Size(math.exp(mean), std, log_odds)
+    mean = float(weights @ logs)
+    std = math.sqrt(float(weights @ (logs - mean) ** 2))
+    return Size(math.exp(mean), std, float(_log_mean(scores, np.zeros(len(SIZES))) - car))
+
+
+def _log_mean(scores: np.ndarray, weights: np.ndarray) -> float:
+    """Logarithm of the weighted mean of likelihoods; all arguments are logarithms."""
+    return float(np.logaddexp.reduce(scores + weights) - np.logaddexp.reduce(weights))
 
 
 def _shaped(size: float) -> np.ndarray:
@@ -175,7 +195,7 @@ def _evidence(
     return 0.5 * (gain - fit - float(np.linalg.slogdet(precision)[1]))
 
 
-def _normal(value: float, mean: float, std: float) -> float:
+def _normal(value: Any, mean: Any, std: float) -> Any:
     return -0.5 * ((value - mean) / std) ** 2 - math.log(std)
 
 

@@ -32,6 +32,8 @@ VEHICLES = {
     "heated car": (1900.0, 0.7, 0.009, 14.0, 1.0, 6000.0, 370.0, 0.85, 0.7),
     "van": (3200.0, 1.4, 0.010, 25.0, 0.9, 900.0, 400.0, 0.86, 0.7),
     "bus": (12_000.0, 5.0, 0.008, 16.0, 0.8, 3000.0, 620.0, 0.88, 0.7),
+    # Formula Student: wings, slicks, 7 m/s^2, friction brakes.
+    "race car": (310.0, 1.5, 0.018, 27.0, 7.0, 150.0, 380.0, 0.8, 0.0),
 }
 
 
@@ -73,7 +75,7 @@ def learned(drive: list[Reading], block: int = 1000) -> tuple[OnlineEstimator, l
     return estimator, [power.power for power in powers]
 
 
-@pytest.mark.parametrize("name", ["eco", "quad", "bus"])
+@pytest.mark.parametrize("name", ["eco", "quad", "bus", "race car"])
 def test_a_vehicle_of_another_size_is_known_by_its_first_drive(name):
     size = size_of(intervals(readings(name)))
     assert size is not None and size.is_another
@@ -86,6 +88,19 @@ def test_a_passenger_car_or_van_is_none_of_another_size(name, seed):
     for seconds in (200.0, 300.0, 600.0):
         size = size_of(intervals(readings(name, seconds, seed)))
         assert size is None or not size.is_another
+
+
+def test_short_drives_together_tell_what_one_of_them_does_not():
+    estimator = OnlineEstimator(
+        load_vehicle("generic"), EstimatorSettings(), InlineWorker(lambda: 0.0)
+    )
+    masses = []
+    for seed in (1, 2, 3):
+        estimator.add_readings(readings("race car", 120.0, seed))
+        estimator.begin_next_drive()
+        masses.append(estimator.vehicle.initial.mass)
+    assert masses[0] == load_vehicle("generic").initial.mass
+    assert abs(math.log(masses[-1] / VEHICLES["race car"][0])) < math.log(2.0)
 
 
 def test_nothing_is_known_of_too_little_or_of_stamps_that_leap():
