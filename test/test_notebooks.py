@@ -22,11 +22,15 @@ NOTEBOOKS = sorted((ROOT / FOLDER).glob("*.ipynb"))
 def test_it_runs(path, tmp_path, monkeypatch):
     for name in ("bags", "examples"):
         shutil.copytree(ROOT / name, tmp_path / name)
+    (tmp_path / "benchmarks").symlink_to(ROOT / "benchmarks")
+    installed = tmp_path / "installed"  # the package alone, as pip installs it
+    installed.mkdir()
+    (installed / "evpinn_ros").symlink_to(ROOT / "evpinn_ros")
     script = tmp_path / "evpinn"
     script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m evpinn_ros "$@"\n')
     script.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    monkeypatch.setenv("PYTHONPATH", f"{ROOT}:{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setenv("PYTHONPATH", str(installed))
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     book = nbformat.read(path, as_version=4)
     where = {"metadata": {"path": str(tmp_path / FOLDER)}}

@@ -180,7 +180,7 @@ class Estimator:
 
     @property
     def next_model(self) -> PowerModel:
-        """The car as it begins its next drive, as the file has it that `save` writes now."""
+        """The car as it would begin its next drive: the one that `save` writes."""
         estimator = self._car.at_next_drive()
         return known_model(estimator.model(), estimator.parameters(), self.vehicle)
 

@@ -47,9 +47,9 @@ if TYPE_CHECKING:
 
 TEMPERATURE_STEP = 10.0  # K, of `what_if`
 LONG_ENOUGH, FULL_STEPS = 3.0, 3000  # times the capacity, that empty any battery
-FARTHEST = 3e6  # m: no car gets farther
+FARTHEST = 3e6  # m; no car gets farther
 CHARGES = ("charge_pct", "charge_sigma_pct")
-TINY = 1e-9  # of a step: rounding makes no row
+TINY = 1e-9  # of a step; a remainder below it is rounding, and makes no row
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
 
 
@@ -121,10 +121,10 @@ def forecast(
             `Estimator` in a drive goes on with it; others begin cold.
         prewarmed: True if the cabin was heated or cooled before the start, while plugged in.
         steady: True: speed is a straight line between points, and legs are driven evenly. False:
-            for lines and legs of some seconds or more, the energy of speeding up and braking is
-            added that is usual there; so it is by default, but for recorded drives, and for paths
-            and trajectories that a controller follows. Points on a line between two others, and
-            borders between legs of one speed, change nothing.
+            lines and legs of some seconds or more also take the usual energy of speeding up and
+            braking. If not given, True for recorded drives, and for paths and trajectories that a
+            controller follows; otherwise False. Points on a line between two others, and borders
+            between legs of one speed, change nothing.
         air_density: kg/m^3; if not given, that of the vehicle file at the temperature outside.
         speed_kmh: of a track in a file that has neither times nor speeds, km/h.
         every_m: distance between the rows of the result, m; if not given, they are the points of
@@ -153,18 +153,18 @@ def _grid(planned: PlannedEnergy, every: float) -> tuple[np.ndarray, dict[str, n
     """Times, s, and columns of a forecast at each so many m and at its end."""
     whole = planned.energies.on_curve
     if whole.curve is None or not whole.curve.distance[-1] > 0.0:
-        return planned.rows  # it stands
+        return planned.rows  # the car stands
     along, length = whole.curve.distance, float(whole.curve.distance[-1])
     if not every > 0.0 or length > every * MAX_POINTS:
         raise PlanError(f"every {every:g} m of {length:.0f} m: at most {MAX_POINTS} rows")
     distance = np.append(np.arange(0.0, length - TINY * every, every), length)
-    # Where it stands, the row is of its arrival.
+    # Where the car stands, the row is that of its arrival.
     first = np.concatenate(([True], np.diff(along) > 0.0))
     time = np.interp(distance, along[first], whole.time[first])
     time[-1] = whole.time[-1]
     points, columns = planned.rows
     at = {name: np.interp(time, points, column) for name, column in columns.items()}
-    if isinstance(planned.given, Legs):  # whose speeds are means
+    if isinstance(planned.given, Legs):  # speeds of legs are means
         leg = np.clip(np.searchsorted(points, time, "right") - 1, 0, len(points) - 2)
         at["speed_mps"] = (planned.given.length / planned.given.duration)[leg]
     at["distance_m"] = distance
@@ -203,7 +203,7 @@ def planned_energy(
 ) -> PlannedEnergy:
     """The forecast as a value, with the arguments and errors of `forecast`."""
     vehicle, model, account = known_car(car)
-    if account is not None and conditions.stood is not None:  # it will be another drive
+    if account is not None and conditions.stood is not None:  # the plan is another drive
         model = car.next_model
     battery, gauge = BatteryModel(math.nan), ChargeGauge(vehicle.battery_capacity)
     charge = UNKNOWN
@@ -250,11 +250,11 @@ def what_if(
     for sign, word in ((-1, "slower"), (1, "faster")):
         share = 1.0 + sign * units.speed_step / (mean * units.speeds)
         if share > 0.5:
-            with suppress(PlanError):  # no car is as fast
+            with suppress(PlanError):  # faster than any car
                 words = f"{units.speed_step:g} {units.speed} {word}"
                 cases.append((words, given.quicker(share), conditions))
     for sign, word in ((-1, "colder"), (1, "warmer")):
-        with suppress(PlanError):  # no weather is such
+        with suppress(PlanError):  # outside any weather
             words = f"{TEMPERATURE_STEP * units.degrees:g} {units.temperature} {word}"
             otherwise = replace(conditions, temperature=celsius + sign * TEMPERATURE_STEP)
             cases.append((words, given, otherwise))
@@ -268,7 +268,7 @@ def what_if(
 
 
 def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
-    """Vehicle, model and account (or None) of an argument `car`; TypeError if it is none."""
+    """Vehicle, model and account (or None) of an argument `car`; TypeError for another value."""
     if isinstance(car, str | Path | Vehicle):
         vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
         return vehicle, vehicle_model(vehicle), None
@@ -280,7 +280,7 @@ def known_car(car: Any) -> tuple[Vehicle, PowerModel, EnergyAccount | None]:
 def basis_of(
     model: PowerModel, conditions: PlanConditions, air_density: float | None
 ) -> PlanBasis:
-    """Basis of a forecast by a plan's conditions; InputError for an air density of no air."""
+    """Basis of a forecast by a plan's conditions; InputError for an impossible air density."""
     basis = PlanBasis.of(model, conditions, density=air_density)
     density = basis.weather.air_density
     if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
@@ -306,7 +306,7 @@ def as_plan(plan: Any, vehicle: Vehicle, speed_kmh: float | None = None) -> Plan
 
 
 def _is_frame(table: Any) -> bool:
-    """True for a DataFrame; who has none never loads pandas."""
+    """True for a DataFrame, without loading pandas for other types."""
     package = type(table).__module__.partition(".")[0]
     return package == "pandas" and isinstance(table, pandas().DataFrame)
 
@@ -333,7 +333,7 @@ class EdgeEnergies:
     def route(self, edges: Iterable[Hashable]) -> Uncertain:
         """Energy of a route, J, and its 1-sigma: the `forecast` of its edges as a trip.
 
-        It is more than the sum of the table by the start from standing, cold if the car is, the
+        The sum of the table leaves out the start from standing (cold if the car is cold), the
         stop at the end, and changes of speed and slope between the edges.
 
         Args:
@@ -373,9 +373,9 @@ def edge_energies(
 ) -> EdgeEnergies:
     """Energies of all edges of a road network at once, for a router.
 
-    Each edge is driven at its mean speed; the energy for speeding up and braking that is usual at
-    this speed is added for each metre, so edges add up: cutting one in two changes no sum. In the
-    table tyres and cabin are warm, and before and after an edge the car goes on as on it. A
+    Each edge is driven at its mean speed, and takes for each metre the energy of speeding up and
+    braking that is usual at this speed. So edges add up: cutting one in two changes no sum. The
+    table assumes warm tyres and cabin, and no change of speed or slope at the ends of an edge. A
     downhill edge may return energy, so a router needs the Bellman-Ford algorithm, or potentials.
 
     Example:

@@ -135,7 +135,7 @@ class Result:
 
     @cached_property
     def forecasts(self) -> pd.DataFrame:
-        """Energy of parts of the drive, each forecast as a plan at its beginning, and measured.
+        """Energy of parts of the drive, forecast as plans at their beginning, beside the measured.
 
         Columns: `begin_s`, `end_s`, `measured_j`, `forecast_j`, `sigma_j`, and `covered`, True
         if the 90 % band contains the measured energy. Empty in mode
@@ -154,12 +154,12 @@ class Result:
 
     @property
     def next_model(self) -> PowerModel:
-        """The learned car as it begins its next drive, as its state file has it."""
+        """The learned car as it begins its next drive: the one in its state file."""
         return known_model(self.rested, self.replayed.drive.final, self.vehicle)
 
     def write_report(self, path: str | os.PathLike[str]) -> None:
         """Write the report that `evpinn replay --report` writes: one HTML file, for a browser."""
-        # Here, for pictures take longer to import than all else together.
+        # Imported here: pictures take longer to import than everything else together.
         from evpinn_ros.report.drive_page import write_replayed
 
         write_replayed(

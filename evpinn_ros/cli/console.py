@@ -36,7 +36,7 @@ Item = TypeVar("Item")
 
 STDOUT = "-"  # as the path of a file
 DRIVE = "s of the drive"
-LINE_PERIOD_S = 10.0  # between lines of progress in a pipe; what takes less has none
+LINE_PERIOD_S = 10.0  # between lines of progress in a pipe; shorter work prints none
 
 results = Console(highlight=False)
 notes = Console(stderr=True, highlight=False, soft_wrap=True)

@@ -54,7 +54,7 @@ def demo(
 
     source = share_directory() / "bags" / DRIVE
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"
-    if bag.exists() and not log.is_file():  # beside which an earlier demonstration left one
+    if bag.exists() and not log.is_file():  # an earlier demonstration leaves a log beside it
         raise InputError(f"{bag}: is in the way and not of an earlier demo; give another --out")
     shutil.rmtree(bag, ignore_errors=True)
     frames = _frames(source)

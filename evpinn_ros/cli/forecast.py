@@ -26,7 +26,7 @@ from evpinn_ros.core.energy.plan import MAX_SPEED
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 MORE = "kWh more than the first"
-SHOWN_ROAD = 100e3  # m, where nothing tells how far the car gets
+SHOWN_ROAD = 100e3  # m, if the range of the car is unknown
 WIDE = 110  # characters of a table that compares
 ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
 
@@ -112,7 +112,7 @@ def forecast(
 
     Example: evpinn forecast route.json --state car.json --charge 80
     """
-    # Here, for pandas takes longer to import than all else together.
+    # Imported here: pandas takes longer to import than everything else together.
     from evpinn_ros.api.estimator import Estimator
     from evpinn_ros.api.plan import level_road, planned_energy, what_if, with_state
     from evpinn_ros.core.energy.plan import PlanConditions
@@ -189,7 +189,7 @@ def forecast(
 
 
 def _read(paths: list[Path], vehicle: Any, options: ReadOptions) -> list[tuple[str, Any]]:
-    """The plans in files, with their paths; what their readers warn of becomes notes."""
+    """The plans in files, with their paths; warnings of their readers become notes."""
     from evpinn_ros.logs.plans.read import read_plan
 
     trips = []
@@ -204,7 +204,7 @@ def _read(paths: list[Path], vehicle: Any, options: ReadOptions) -> list[tuple[s
 
 
 def _names(paths: list[Path]) -> list[str]:
-    """Names of files with their suffix, and with folders where two would be alike."""
+    """Names of files with their suffix, and with folders where two names are equal."""
     from evpinn_ros.replays.drive_names import short_names
 
     names = [path.name for path in paths]
@@ -226,7 +226,7 @@ def _metres_per_second(text: str, units: Units) -> float:
 
 
 def _how_far(farthest: Any, units: Units) -> str:
-    """Sentence on where the battery is empty on a road that does not end; empty if unknown."""
+    """Sentence on how far a charge lasts on an endless road; empty if unknown."""
     if farthest.empty_at is None:
         return ""
     empty, *band = (
@@ -243,10 +243,10 @@ def _how_far(farthest: Any, units: Units) -> str:
 def _expected(given: Any, known_celsius: float | None, units: Units) -> str:
     celsius, since = given.temperature, ""
     if celsius is None:
-        celsius, since = known_celsius, " as last measured"
+        celsius, since = known_celsius, ", as last measured"
     air = "a mild day"
     if celsius is not None:
-        air = f"{celsius * units.degrees + units.zero:g} {units.temperature}{since}"
+        air = f"{celsius * units.degrees + units.zero:.3g} {units.temperature}{since}"
     heating = "the heating that this makes likely"
     if given.heating is not None:
         heating = f"{given.heating:g} W of heating or cooling"

@@ -12,11 +12,11 @@ from evpinn_ros.cli.console import note
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.stopping import STOPS, leave_terminal
 
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+INTERRUPTED = 130  # 128 + SIGINT, the exit code of shells
 
 
 class Interruption:
-    """Notes the first signal to stop, so that work ends whole; a second Ctrl-C is not awaited.
+    """Notes the first signal to stop, so that results are written; a second Ctrl-C ends at once.
 
     The command ends with 130, or 128 and the signal's number. An ignored signal stays ignored.
     """

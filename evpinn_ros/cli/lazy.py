@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from evpinn_ros.common.errors import near_names
 
-BRIEF = {  # shorter than typer's, whose last word wrapped into a line of its own
+BRIEF = {  # shorter than typer's texts, which wrapped their last word into a second line
     "help": "Show this help.",
     "install_completion": "Let the shell complete commands.",
     "show_completion": "Show what that would install.",
@@ -68,7 +68,7 @@ class LazyCommands(ReadableGroup):
         command = getattr(import_module(self.modules[name]), name)
         if isinstance(command, typer.Typer):
             group = typer.main.get_group(command)
-            group.name = cmd_name  # help lists it by that
+            group.name = cmd_name  # the name in the help
             return group
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         alone.command(cmd_name, cls=ReadableCommand)(command)

@@ -70,13 +70,13 @@ def main(signals: AbstractContextManager[None] = nullcontext()) -> None:  # noqa
     """Run the command within `signals`; wrong input is one line on stderr and exit code 1."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # not every terminal knows every letter
+            stream.reconfigure(errors="replace")  # some terminals lack some characters
     try:
         try:
             with signals, optional_imports():
                 app()
         finally:
-            sys.stdout.flush()  # a full disk shows now, and not after the last line of code
+            sys.stdout.flush()  # raises now if the disk is full, not at exit
     except InputError as error:
         note(f"evpinn: {error}")
         sys.exit(FAILED)
@@ -86,7 +86,7 @@ def main(signals: AbstractContextManager[None] = nullcontext()) -> None:  # noqa
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
-        _drop_output()  # whoever read it has gone, as `head` does; no reader is left
+        _drop_output()  # the reader, such as `head`, has ended
         sys.exit(FAILED)
     except OSError as error:
         _drop_output()

@@ -18,7 +18,7 @@ from evpinn_ros.logs.read_options import ReadOptions
 
 def complete_vehicle(incomplete: str) -> list[str]:
     """Known vehicles with this prefix; without any, the shell offers paths."""
-    # Here, for every command has this option, and few are asked for a completion.
+    # Imported here: every command has this option, but few complete it.
     from evpinn_ros.core.vehicle.files import known_vehicles
 
     return [name for name in known_vehicles() if name.startswith(incomplete)]
@@ -128,7 +128,7 @@ def _read_options(
 ) -> ReadOptions:
     terrain = None
     if elevation is not None:
-        from evpinn_ros.logs.terrain import Terrain  # here, for few have such tiles
+        from evpinn_ros.logs.terrain import Terrain  # here: few users have such tiles
 
         terrain = Terrain(elevation)
     return ReadOptions(can_profile, trust_profile, tuple(column or ()), car, terrain)
@@ -153,7 +153,7 @@ def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def elm327_bus(port: str, interface: str | None, channel: str | None) -> tuple[str, str]:
     """Interface and channel of an ELM327; BadParameter beside another adapter."""
-    from evpinn_ros.can.elm327 import NAME  # here, for python-can takes long to import
+    from evpinn_ros.can.elm327 import NAME  # here: python-can takes long to import
 
     if interface is not None or channel is not None:
         raise typer.BadParameter("--elm327 names the adapter: leave out interface and channel")

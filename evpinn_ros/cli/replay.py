@@ -159,7 +159,7 @@ def replay(
         with Interruption() as interruption:
             try:
                 paths = [source.path for source in first] * loop
-                several = len(inputs) > 1 or len(paths) > 1  # though all of them be one drive
+                several = len(inputs) > 1 or len(paths) > 1  # even if together they are one drive
                 folders = output_folders(out, paths, several=several)
                 said: set[str] = set()
                 for source, folder in zip(chain(first, again), folders, strict=True):
@@ -177,7 +177,7 @@ def replay(
                     else:
                         _show(replayed, source, car.vehicle, warm_up, units.units)
             finally:
-                # Whatever ends a later drive, the results of those before it are kept.
+                # If a later drive fails, the results of those before it are kept.
                 written = _write(car, (state, metrics, report), units.units, len(inputs) > 1)
         if not car.done:
             raise InputError("; ".join(unreadable))
@@ -333,7 +333,7 @@ def _write(
         return True
     state, metrics, report = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
-        (state, car.write_state),  # first, for it cannot be made again
+        (state, car.write_state),  # first, because nothing else holds it
         (metrics, lambda path: _write_metrics(path, car, several)),
         (report, lambda path: _write_report(path, car, units)),
     ]
@@ -359,7 +359,7 @@ def _write_metrics(path: Path, car: CarReplay, several: bool) -> None:
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:
-    # Here, for pictures take longer to import than all else together.
+    # Imported here: pictures take longer to import than everything else together.
     from evpinn_ros.report.drive_page import write_replayed
 
     of_all = car.breakdown() if len(car.done) > 1 else None

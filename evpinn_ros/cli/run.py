@@ -47,9 +47,9 @@ POLL_S = 0.2
 CUT_SHORT_S = 20.0
 """Time that a report may take after SIGTERM; a service manager kills after 90 s."""
 
-ONE_WISH_S = 1.0  # within which signals are one; another does not wait
+ONE_WISH_S = 1.0  # signals within this time count as one; a later one is passed on
 
-TERMINATED = 143  # 128 + SIGTERM, as shells have it
+TERMINATED = 143  # 128 + SIGTERM, the exit code of shells
 
 
 @contextmanager
@@ -111,7 +111,7 @@ def _is_empty(bag: Path) -> bool:
         return not any(True for _ in reader.log_times())
 
 
-BRIEF_S = 5.0  # what ends sooner was a mistake, and has said so
+BRIEF_S = 5.0  # nodes that end sooner failed, and have logged why
 
 
 def learned_before(state: Path | None, params: Path | None) -> Path | None:
@@ -212,12 +212,12 @@ def run(
     if record is None and (split_size or split_time):
         raise typer.BadParameter("--split-size and --split-time need --record")
     if profile := can_profile or load_vehicle(vehicle).can_profile:
-        load_profile(profile)  # opened here too, for no output may be written over it
+        load_profile(profile)  # opened here too, so that no output is written over it
     check_outputs((record, report, state), (params, Path(vehicle)))
     split = Split((split_size or math.inf) * MEGABYTE, split_time or math.inf)
     parameters = {name: value for name, value in given.items() if value is not None}
     ros_args = ["--params-file", str(params)] if params is not None else []
-    with ExitStack() as beside:  # left when the nodes have ended, before this process is
+    with ExitStack() as beside:  # closed when the nodes have ended, before this process ends
         start = learned_before(state, params)
         beside.callback(_say_what_is_kept, time.time(), vehicle, record, start)
         if report is not None:

@@ -88,7 +88,7 @@ def simulate(
         equation=equation,
     )
     check_outputs((out, can_log))
-    with Interruption():  # half a drive would not have the truth that is written beside it
+    with Interruption():  # the truth beside the bag is that of the whole drive
         with writing(out), progress_bar(out.name, total=duration) as progress:
             write(drive, out, can_log, progress)
         for line in _summary(drive, out):

@@ -120,7 +120,7 @@ def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
 
 
 def _consumption(vehicle: Vehicle) -> float:
-    """WLTP consumption by the priors, kWh/100 km; NaN of what drives on no road."""
+    """WLTP consumption by the priors, kWh/100 km; NaN for a robot."""
     if math.isfinite(vehicle.nominal_speed):
         return math.nan
     start = vehicle.initial

@@ -21,8 +21,8 @@ def view(
     """Play a bag on its ROS topics, from the moment a viewer subscribes until Ctrl-C.
 
     Viewers are `evpinn watch`, PlotJuggler, and Foxglove through foxglove_bridge. Pauses without
-    messages are cut to ten seconds. Where nodes run that would learn from the bag it does not
-    play; give both viewer and bag another ROS_DOMAIN_ID there.
+    messages are cut to ten seconds. Refused if nodes run that would learn from the bag:
+    then give both viewer and bag another ROS_DOMAIN_ID.
 
     Example: evpinn view bags/urban --rate 4 --loop
     """

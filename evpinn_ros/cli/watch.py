@@ -22,8 +22,8 @@ def watch(
     """Show what a running system knows: parameters, power, energy, what is missing.
 
     Receives the topics of nodes started by `evpinn run` or a launch file, on this machine or, with
-    the same ROS_DOMAIN_ID, another; publishes nothing, and ends with Ctrl-C. Without a terminal:
-    a line a second. --json writes one object a second, each on one line, to a new file, or to
+    the same ROS_DOMAIN_ID, another; publishes nothing, and ends with Ctrl-C. Without a terminal it
+    prints a line a second. --json writes an object a second, one per line, to a new file, or to
     stdout without the view.
 
     Example: evpinn watch --namespace /ev

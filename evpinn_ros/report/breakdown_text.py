@@ -26,11 +26,11 @@ SHORT = {  # in a column of a table
 # How a sentence on a part begins.
 TOOK = {MEANINGS["slope"]: "climbing took", MEANINGS["brakes"]: "braking lost"}
 SHORTEST_MINUTES = 90.0  # s; what is shorter is given in seconds
-WORTH_SAYING = 0.1  # of a drive: from here on heating is named, for it can be turned down
-# From here on what took energy is given as shares of all that did: a drive that went down takes
-# little in sum, and each part of it is a multiple of that.
-GAVE_BACK = 1.1  # of what was measured
-CONTRADICTED = 3.0  # sigmas of what is unexplained that are worth a warning
+WORTH_SAYING = 0.1  # of a drive; more heating is named, because it can be turned down
+# Above this ratio, shares refer to all energy that was spent: a drive downhill takes little in
+# sum, and each of its parts is a multiple of that.
+GAVE_BACK = 1.1  # spent over measured energy
+CONTRADICTED = 3.0  # sigmas of the unexplained energy from which on a warning is shown
 
 
 class KnownPart(NamedTuple):
@@ -43,7 +43,7 @@ class KnownPart(NamedTuple):
 
 
 def shown(breakdown: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Parts of a breakdown that anything tells, by names for people; joined if not separated."""
+    """Parts of a breakdown that the data show, by names for people; joined if not separated."""
     groups = {group["parts"][0]: group for group in breakdown["together"]}
     hidden = {name for group in breakdown["together"] for name in group["parts"]}
     rows = []
@@ -122,7 +122,7 @@ def duration_text(seconds: float) -> str:
 
 
 def known_parts(breakdown: Mapping[str, Any]) -> list[KnownPart]:
-    """Parts that took energy and are known to two sigmas; shares are of `_whole`."""
+    """Parts that took energy and are known to two sigmas, with shares of `_whole`."""
     whole, _ = _whole(breakdown)
     return [
         KnownPart(name, part["kwh"], part["sigma_kwh"], part["kwh"] / whole)
@@ -132,7 +132,7 @@ def known_parts(breakdown: Mapping[str, Any]) -> list[KnownPart]:
 
 
 def _whole(breakdown: Mapping[str, Any]) -> tuple[float, str]:
-    """Energy to which shares refer, kWh, and its name: measured, or spent where most came back."""
+    """Energy to which shares refer, kWh, and its name: measured, or spent if most came back."""
     spent = sum(max(part["kwh"], 0.0) for _, part in shown(breakdown))
     measured = breakdown["measured"]["kwh"]
     return (measured, "the whole") if spent < GAVE_BACK * measured else (spent, "what was spent")

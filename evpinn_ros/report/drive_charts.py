@@ -153,9 +153,9 @@ def _with_band(
     ]
 
 
-LEAST_DISTANCE = 100.0  # m in a bin of speed before its energy is shown,
-LEAST_SHARE = 0.02  # and so much of the drive: to pass through a speed is not to drive at it
-SHOWN_SPEED = 36.0  # m/s: a steady speed is shown up to here however slow the drive was
+LEAST_DISTANCE = 100.0  # m in a bin of speed from which on its energy is shown
+LEAST_SHARE = 0.02  # of the drive, likewise: passing through a speed is not driving at it
+SHOWN_SPEED = 36.0  # m/s, up to which steady speeds are shown, even of slow drives
 
 
 def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units: Units) -> Chart:

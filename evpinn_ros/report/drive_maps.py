@@ -16,13 +16,13 @@ from evpinn_ros.report.thinning import packed
 
 HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
 ACCELERATION_CELL, ACCELERATION_AXIS = 0.25, "acceleration, m/s²"
-LARGEST_SPEED, LARGEST_ACCELERATION = 300.0 / 3.6, 5.0  # m/s, m/s^2: what is beyond counts as this
-LEAST = 1.0  # s in a cell or bin before an error is shown of it
+LARGEST_SPEED, LARGEST_ACCELERATION = 300.0 / 3.6, 5.0  # m/s, m/s^2; larger ones count as these
+LEAST = 1.0  # s in a cell or bin from which on its error is shown
 DEGREE = 111_195.0  # m of latitude, of the mean radius of the Earth
 ROUTE_POINTS = 500  # evenly along the road
 POINTS = 2500  # of single moments beside their spread
-HARD = 0.5  # m/s^2: from here on inertia outweighs road load and auxiliaries
-FAST_SPEED, SLOW_SPEED = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag tells above, auxiliary power below
+HARD = 0.5  # m/s^2, above which inertia outweighs road load and auxiliaries
+FAST_SPEED, SLOW_SPEED = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag shows above, auxiliary power below
 
 
 class MeasuredMoments(NamedTuple):
@@ -31,7 +31,7 @@ class MeasuredMoments(NamedTuple):
     time: np.ndarray  # s
     speed: np.ndarray  # m/s
     acceleration: np.ndarray  # m/s^2
-    seconds: np.ndarray  # that each stands for
+    seconds: np.ndarray  # that each moment represents
     error: np.ndarray  # predicted less measured power, kW
 
 
@@ -61,7 +61,7 @@ def scored_moments(drive: Drive, driven: MeasuredMoments, warm_up: float) -> Mea
 
 
 def driven_minutes(driven: MeasuredMoments) -> dict[str, float]:
-    """Minutes of the kind of driving that tells each identifiable combination."""
+    """Minutes of the kind of driving that shows each identifiable combination."""
     hard = np.abs(driven.acceleration) > HARD
     kinds = {
         "mass_over_eta": hard,

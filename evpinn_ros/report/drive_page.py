@@ -60,7 +60,7 @@ SMALL = 4  # times fewer points for parameters, which come once a second and cha
 MOST_EVENTS = 200  # shown
 DATED_AT = 5  # column of the list of drives, behind its figures: narrow screens cut off the last
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-LAST_STAMP = 253_402_300_799 * NANOSECONDS  # the end of the year 9999: a calendar has no more
+LAST_STAMP = 253_402_300_799 * NANOSECONDS  # end of the year 9999, the last of datetime
 
 
 Charts: TypeAlias = Iterator[tuple[str, drive_charts.Chart]]
@@ -79,7 +79,7 @@ class ReportedDrive:
 
     drive: Drive  # its series
     metrics: Mapping[str, Any]  # its scores (`scoring.metrics`)
-    vehicle: Vehicle  # whose drive it is
+    vehicle: Vehicle  # the car that was driven
     warm_up: float  # s at the start that were not scored
     # s from which on the battery was withheld, None if it was not
     withheld_from: float | None = None
@@ -279,7 +279,7 @@ def _date(drive: Drive) -> str:
 
 
 def drive_tiles(drive: Drive, units: Units) -> Iterator[tuple[str, str]]:
-    """Energy over distance, then the rest that is known of the drive."""
+    """Energy over distance first, then the other figures of the drive."""
     total = counted(drive)
     if total.known >= CONSUMPTION_METRES:
         whole = total.known > NEARLY_WHOLE * total.distance

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from evpinn_ros.core.signals.time_jump import SECOND_PUBLISHER
 
-# What was not lost: a state of charge that came without voltage and current is used as such.
+# Not lost: a state of charge without voltage and current is used.
 NO_LOSS = ("battery_unmeasured",)
 WORDS = {
     "acceleration_impossible": "speeds that change faster than tyres allow",

@@ -63,16 +63,16 @@ def recorded_drive(bag: Path) -> Drive:
                 elif topic is not None and topic in POWER_KINDS:
                     history.add_output(newest_ns, read_power(topic, record.message))
             except BadMessage:
-                continue  # a message of somebody else's: there is nothing of ours to draw
+                continue  # a message of another package
     return history.drive()
 
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
-# Wide and pale: what is measured is seen under what predicts it.
+# Wide and pale, so that the measured curve is seen under the predicted one.
 BELOW: Mapping[str, Any] = {"color": "0.7", "lw": 3.5}
 BAND: Mapping[str, Any] = {"color": PREDICTED, "lw": 0}
 INTERVAL = 1.96  # sigmas to both sides that hold 95 %
-BESIDE_BARS = 0.3  # of the width of all bars, that is shown to both sides of them
+BESIDE_BARS = 0.3  # margin to both sides of the bars, over their width
 TITLES = {
     "mass_over_eta": "mass / \u03b7, kg",
     "drag_area_over_eta": "drag area / \u03b7, m\u00b2",
@@ -92,7 +92,7 @@ OUTSIDE: Mapping[str, Any] = {
 def drive_figure(drive: Drive, title: str, truth: Identifiable | None = None) -> Figure:
     """Draw a drive with its breakdown; the truth of a simulated car is drawn as lines."""
     figure = Figure(figsize=(12, 11.5), layout="constrained")
-    figure.suptitle(title, parse_math=False)  # it may be the name of a file
+    figure.suptitle(title, parse_math=False)  # the title may be the name of a file
     grid = figure.add_gridspec(5, 6, height_ratios=(1.35, 0.7, 1.2, 1, 1))
     _draw_breakdown(figure.add_subplot(grid[0, :]), drive.breakdown)
     over_time = [figure.add_subplot(grid[row, :]) for row in (1, 2)]

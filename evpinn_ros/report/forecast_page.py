@@ -20,7 +20,7 @@ from evpinn_ros.report.html import write_page
 from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
-LEAST_SHOWN = 0.0005  # kWh, which would read 0.000
+LEAST_SHOWN = 0.0005  # kWh; less would be shown as 0.000
 
 
 class PlannedTrip(NamedTuple):
@@ -97,7 +97,7 @@ def _curves(planned: PlannedEnergy, units: Units) -> Any:
 
 
 def _battery_along(planned: PlannedEnergy, units: Units) -> tuple[str, Curve, bool]:
-    """Charge of the battery along the way, or energy where it is unknown, as `_curves` has it."""
+    """Charge of the battery along the way, or energy if it is unknown, as `_curves` takes it."""
     energies = planned.energies
     course = energies.on_curve
     shown = np.unique(np.linspace(0, len(course.time) - 1, POINTS).round().astype(int))

@@ -45,7 +45,7 @@ def write_page(
             policy=_policy(scripts),
         )
     )
-    write_file(path, page.encode("utf-8", "replace"))  # a path may hold what is no text
+    write_file(path, page.encode("utf-8", "replace"))  # a path may have bytes that are no text
 
 
 @cache

@@ -28,8 +28,8 @@ from evpinn_ros.report.breakdown_text import (
 )
 from evpinn_ros.report.tables import signed_percent, watts
 
-NEARLY_WHOLE = 0.99  # of distance or time, from here on nothing is missing
-SPARSE_BATTERY = 10.0  # s between currents, from where on the energy errs by some percent
+NEARLY_WHOLE = 0.99  # share of distance or time from which on nothing is reported as missing
+SPARSE_BATTERY = 10.0  # s between currents, from which on the energy errs by some percent
 LEAST_HEATING = 300.0  # W that a car reports, worth saying
 SCORES = (
     "RMSE (of power) and error of energy say how well each drive was predicted, moment by moment, "
@@ -117,13 +117,14 @@ def health_line(gauge: ChargeGauge, drives: Iterable[Drive]) -> str:
         return f"{unknown}: {holds}, and its vehicle file has no battery_capacity to compare."
     rated = f"{kwh / health.value:.1f} kWh of its vehicle file"
     if health.value - DOUBTFUL * health.sigma > 1.0:
-        return f"{unknown}: {holds}, more than the {rated}, so one of the two is of another range."
+        return f"{unknown}: {holds}, more than the {rated}, so one of the two is wrong."
     percent, spread = (100 * share for share in health)
-    return f"State of health of the battery: {percent:.0f} +- {spread:.0f} %: {holds}, of {rated}."
+    known = f"State of health of the battery: {percent:.0f} +- {spread:.0f} % of the {rated}"
+    return f"{known}: {holds}."
 
 
 def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:
-    """Sentence on heating that is reported on a warm day and that the battery does not show."""
+    """Sentence on heating reported on a warm day that the battery does not show; else None."""
     if breakdown["unknown"] is not None or not (len(drive.heating) and len(drive.temperature)):
         return None
     power, celsius = (
@@ -142,7 +143,7 @@ def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:
 
 
 def sparse_note(drive: Drive) -> str | None:
-    """Sentence on readings so far apart that driving between them is not seen; None where near."""
+    """Sentence on readings too far apart to show the driving between them; else None."""
     step, of_battery = (
         float(np.median(np.diff(rows[:, 0]))) if len(rows) > 1 else 0.0
         for rows in (drive.speed, drive.measured)
@@ -196,8 +197,8 @@ class Figures(NamedTuple):
 
     distance: float  # m
     duration: float  # s
-    joules: float  # measured, where it was, else predicted; NaN where neither is known
-    metres: float  # distance over which that is, m
+    joules: float  # measured, else predicted; NaN if neither is known
+    metres: float  # distance over which that energy was taken, m
 
 
 def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figures:

@@ -32,7 +32,7 @@ class Curve(NamedTuple):
 
 
 def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, Any] | None:
-    """Lines for the macro `curve`, or None; NaN is unknown, `from_zero`: the axis holds zero."""
+    """Lines for the macro `curve`, or None. NaN is unknown; with `from_zero` the axis has zero."""
     spans = [line.at(sign) for line in lines for sign in (-1.0, 1.0)]
     finite = np.concatenate([span[np.isfinite(span)] for span in spans])
     if not len(finite):
@@ -50,7 +50,7 @@ def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, A
 
 
 def ticks(low: float, high: float) -> list[float]:
-    """Round values of an axis, at most `MOST_TICKS`, that hold both ends."""
+    """Round values of an axis, at most `MOST_TICKS`, that include both ends."""
     span = max(high - low, 1e-3)
     size = 10.0 ** math.floor(math.log10(span))
     step = next(

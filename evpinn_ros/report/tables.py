@@ -11,7 +11,7 @@ from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.scoring import Span, baseline_scores, held_scores
 
 SCORE_COLUMNS = ("what", "RMSE", "MAE", "R2", "in 90 % band")
-BLANK = ("", "", "")  # of a row that has an RMSE alone
+BLANK = ("", "", "")  # cells of a row that has only an RMSE
 
 
 def parameter_columns(truth: Parameters | None) -> tuple[str, ...]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from evpinn_ros.replays.scoring import longest_step
 
-LEVELS = 65534  # that two bytes tell apart, beside "no value"
+LEVELS = 65534  # of two bytes, beside "no value"
 NO_VALUE = -32768
-LARGEST = 1e12  # of any unit here; beyond, the arithmetic of the levels could overflow
+LARGEST = 1e12  # of any unit; larger values could overflow the arithmetic of the levels
 PER_BUCKET = 2  # points kept of a bucket
 
 
@@ -38,7 +38,7 @@ def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
 
 
 def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
-    """Least and greatest value of each bucket as they came, shape (PER_BUCKET * buckets,).
+    """Least and greatest value of each bucket in order of time, shape (PER_BUCKET * buckets,).
 
     Buckets between two values that are near enough are filled by a line, others hold NaN.
     """

@@ -98,8 +98,8 @@ class TrackRecord(NamedTuple):
         learned, file = (100.0 * error / self.measured for error in (self.learned, self.file))
         forgotten = max(1.0 - self.drives / CASES_KEPT, KEPT**MOST_COUNTED)
         drives = math.log(forgotten) / math.log(KEPT)  # whose sum is `drives`
-        text = f"Over {drives:.0f} drives, what was learned before each predicts its energy "
-        return f"{text}to {learned:.0f} %, the vehicle file alone to {file:.0f} %."
+        text = f"Predicted beforehand, the energy of {drives:.0f} drive{'s' * (drives > 1.5)} was "
+        return f"{text}off by {learned:.0f} %; by the vehicle file alone, by {file:.0f} %."
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,8 +43,7 @@ def reproduce(
         bool,
         typer.Option(
             "--quick",
-            help="Take a first look in two minutes, by a training that is faster than that of the "
-            "paper.",
+            help="Take a first look, by a training that is faster than that of the paper.",
         ),
     ] = False,
     out: Annotated[
