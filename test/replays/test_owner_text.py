@@ -118,7 +118,9 @@ def test_the_state_of_health_is_that_of_the_battery_or_the_reason_why_not(vehicl
     health, sigma = gauge.health
     assert abs(health - 0.7) < 2.0 * sigma < 0.15
     line = health_line(gauge, [drive])
-    assert f"{100 * health:.0f} +- {100 * sigma:.0f} %" in line and "% of the 1.4 kWh of its" in line
+    assert (
+        f"{100 * health:.0f} +- {100 * sigma:.0f} %" in line and "% of the 1.4 kWh of its" in line
+    )
     reasons = {
         "the log has no state of charge": (ChargeGauge(RATED), replace(drive, charge=NOTHING)),
         "no drive or charge of 10 % was measured": (ChargeGauge(RATED), drive),

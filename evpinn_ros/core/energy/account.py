@@ -1,8 +1,8 @@
 """One car's account of energy: since reset and since ever, per kilometre, and what is left.
 
-It joins the meter to distance and to the state of charge, and is what outlives a restart. What
-comes waits until predictions of its time have come, and is then counted in order of stamps; how it
-is cut into blocks changes nothing.
+It joins the meter to distance and to the state of charge, and survives a restart. Readings wait
+until predictions of their time have come, and are then counted in order of stamps; how they are
+cut into blocks changes nothing.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from evpinn_ros.core.signals.track import LATER, NEVER
 
 STATE_VERSION = 1
 NO_STAMPS = np.empty(0, np.int64)
-LEAST_DISTANCE = 1e3  # m; what a kilometre costs is not known before one
+LEAST_DISTANCE = 1e3  # m from which on consumption is known
 SUMMARY_NS = NANOSECONDS  # between two summaries
 
 
@@ -88,17 +88,16 @@ class EnergyTotals(NamedTuple):
         return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
 
     def not_below(self, before: EnergyTotals) -> EnergyTotals:
-        """Give totals of this net energy, with at least as much drawn and regenerated as before.
+        """Totals of this net energy, with at least as much drawn and regenerated as before.
 
-        What a prediction counted between two words of the battery is put right by the second:
-        for some seconds less may have been drawn than was shown.
+        A late measurement can lower the total that was predicted for the same time.
         """
         more = max(before.drawn - self.drawn, before.regenerated - self.regenerated, 0.0)
         return self._replace(drawn=self.drawn + more, regenerated=self.regenerated + more)
 
 
 class TripCorrection(NamedTuple):
-    """Energy that reconciling added to a trip, J, and what it took of its variance, J^2."""
+    """Energy that reconciling added to a trip, J, and the variance that it removed, J^2."""
 
     energy: Joules = 0.0
     variance: Annotated[float, Range(-(MOST_ENERGY**2), MOST_ENERGY**2)] = 0.0
@@ -136,9 +135,9 @@ class AccountSummary:
         since_reset: what was counted since the last reset.
         lifetime: what was counted since ever; what it drew and regenerated never falls.
         consumption: energy per distance, J/m, by `1`, `10`, `100` (the last so many km), `trip`
-            and `lifetime`; what is not known yet is not among them.
+            and `lifetime`; unknown ones are left out.
         charge: state of charge, 0..1; its value NaN while unknown, and so below.
-        projected: whether that is no reading but follows from the energy taken since.
+        projected: True if that follows from the energy taken since the last reading.
         capacity: energy of the full battery, J.
         usable: energy left in it, J.
         remaining: distance to empty, None while it is unknown.
@@ -165,7 +164,7 @@ class _Kind(IntEnum):
 
 
 WIDTHS = {_Kind.PREDICTED: 4, _Kind.MEASURED: 4, _Kind.SPEED: 1, _Kind.BATTERY: 3}
-AHEAD_NS = 3 * NANOSECONDS  # by which others may be ahead of predictions, and wait for them
+AHEAD_NS = 3 * NANOSECONDS  # by which readings may be ahead of predictions and wait for them
 EXTENDED_AT = 1000  # speeds and battery readings from which on trip and battery model take them
 
 
@@ -184,11 +183,11 @@ class _Columns(NamedTuple):
 
 
 class _Waiting:
-    """What is not counted yet, by kind."""
+    """Readings and powers that are not counted yet, by kind."""
 
     def __init__(self) -> None:
         self._new: dict[_Kind, list[_Columns]] = {kind: [] for kind in _Kind}
-        # Stamp and values of those that came one by one: arrays are made of many at once.
+        # Stamp and values of those that came one by one; arrays are made of many at once.
         self._rows: dict[_Kind, list[tuple[float, ...]]] = {kind: [] for kind in _Kind}
         self.newest_ns = dict.fromkeys(_Kind, NEVER)
 
@@ -226,7 +225,7 @@ class _Waiting:
         return new[0]
 
     def taken(self, kind: _Kind, until_ns: int) -> _Columns:
-        """Those of a kind up to a stamp, which wait no longer."""
+        """Those of a kind up to a stamp; they no longer wait."""
         stamps, values = self.sorted(kind)
         count = int(stamps.searchsorted(until_ns, side="right"))
         if count:
@@ -241,8 +240,8 @@ class EnergyAccount(Saveable[SavedAccount]):
     Attributes:
         meter: integrates power, since the last reset.
         gauge: state of charge and capacity.
-        reconciled: of the last battery dropout that ended, None before.
-        usual: `remaining.usual_cost`, J/m, NaN if unknown; who learns the car sets it.
+        reconciled: outcome of the last battery dropout that ended, None before.
+        usual: `remaining.usual_cost`, J/m, NaN if unknown; set by the learner of the car.
         route: of the last plan (`follow`), None before any.
         admission: admits readings, and counts those that it refuses.
     """
@@ -264,7 +263,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         """
         self.meter, self.gauge = meter, ChargeGauge(capacity)
         self._battery = BatteryModel(capacity)
-        # What the trip and the battery are extended by once somebody asks for them.
+        # Readings by which trip and battery are extended once somebody asks for them.
         self._driven: list[tuple[np.ndarray, ...]] = []
         self._told: list[tuple[np.ndarray, ...]] = []
         self.usual = math.nan
@@ -274,11 +273,11 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def refused(self) -> Counter[str]:
-        """Readings and powers of what the car cannot do, by reason, since the process began."""
+        """Counts of impossible readings and powers, by reason, since the process began."""
         return self.admission.refused
 
     def reset(self) -> None:
-        """Forget all, as if nothing had ever been counted."""
+        """Forget everything, as if nothing had ever been counted."""
         self._shown = EnergyTotals()  # of the lifetime, last published
         self.meter.reset()
         self._trip = TripLog()
@@ -306,7 +305,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._newest_ns = newest_ns
 
     def begin_after_jump(self) -> None:
-        """Keep all that was counted, and join nothing to what comes: time jumped."""
+        """After a jump of time: keep the totals, and join no later reading to earlier ones."""
         self.flush()
         self.admission.begin_anew()
         saved = self.saved()
@@ -314,7 +313,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.take(replace(saved, meter=meter, charge_before=math.nan))
 
     def begin_readings_anew(self) -> None:
-        """Join no speed and no battery reading to those before: their time jumped."""
+        """After a jump of their time: join no speed or battery reading to earlier ones."""
         self._count_readings(replace(self.meter.course, ended=()), LATER)
         self._waiting.newest_ns |= {_Kind.SPEED: NEVER, _Kind.BATTERY: NEVER}
         self.admission.begin_anew()
@@ -358,7 +357,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _add_powers(
         self, kind: _Kind, most: float, stamps: np.ndarray, *columns: np.ndarray
     ) -> None:
-        """Take powers, W, but those that cannot be."""
+        """Take powers, W, except impossible ones."""
         values = np.full((WIDTHS[kind], len(stamps)), np.nan)
         values[: len(columns)] = columns
         possible = _is_possible(values[0], values[1], most)
@@ -368,7 +367,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._waiting.add(kind, stamps, values)
 
     def add_block(self, block: Block) -> None:
-        """Take admitted readings: speed, and what the battery tells of itself, count."""
+        """Take admitted readings; those of speed and battery count."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
         self._waiting.add(_Kind.SPEED, speeds.stamps, speeds.values[:1])
         self._waiting.add(_Kind.BATTERY, battery.stamps, battery.values[:3])
@@ -383,18 +382,18 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def _until_ns(self) -> int:
-        """Up to here all has come: predictions, or what is some seconds ahead of them."""
+        """Stamp up to which everything has come: predictions, or readings some seconds ahead."""
         newest_ns = self._waiting.newest_ns
         return max(newest_ns[_Kind.PREDICTED], max(newest_ns.values()) - AHEAD_NS)
 
     def summary_due_ns(self) -> int:
-        """Stamp of the first prediction that waits and at which a summary is due, or `LATER`."""
+        """Stamp of the first waiting prediction at which a summary is due, or `LATER`."""
         stamps = self._waiting.sorted(_Kind.PREDICTED).stamps
         place = int(stamps.searchsorted(self._summary_ns + SUMMARY_NS))
         return int(stamps[place]) if place < len(stamps) else LATER
 
     def count(self, until_ns: int = LATER) -> EnergyState:
-        """Count what waits, up to a stamp; returns the states at each prediction of it."""
+        """Count what waits up to a stamp; returns the states at each prediction."""
         if not self._waiting:
             return NO_STATES
         corrections, course = self._count(min(until_ns, self._until_ns)), self.meter.course
@@ -404,12 +403,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._corrected(states, course.predicted.stamp_ns, corrections)
 
     def flush(self) -> EnergyState:
-        """Count all that waits, whatever may come: the drive is over, or is saved."""
+        """Count everything that waits, because the drive is over or is saved."""
         self._waiting.newest_ns[_Kind.PREDICTED] = max(self._waiting.newest_ns.values())
         return self.count()
 
     def _count(self, until_ns: int) -> list[_Correction]:
-        """Count what waits up to a stamp; returns what was corrected."""
+        """Count what waits up to a stamp; returns the corrections."""
         predicted, measured = (
             PowerRows(stamps, stamps, *values)
             for stamps, values in (
@@ -425,7 +424,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._count_readings(course, until_ns)
 
     def _count_readings(self, course: MeterCourse, until_ns: int) -> list[_Correction]:
-        """Count the readings up to a stamp, by what a meter had counted then."""
+        """Count the readings up to a stamp, with the course of the meter."""
         stamps, (speeds,) = self._waiting.taken(_Kind.SPEED, until_ns)
         if len(stamps):
             energies, _, _ = course.consumed(course.before(stamps))
@@ -437,7 +436,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return corrections
 
     def _extend(self) -> None:
-        """Let trip and battery take what waits, which costs as much as a row of it."""
+        """Extend trip and battery by all that waits, which costs as much as one row."""
         for log, waiting in ((self._trip, self._driven), (self._battery, self._told)):
             if waiting:
                 log.extend(*map(np.concatenate, zip(*waiting, strict=True)))
@@ -445,7 +444,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def trip(self) -> TripLog:
-        """Distance and consumption of the trip, up to all that was fed."""
+        """Distance and consumption of the trip, up to the newest reading."""
         self._extend()
         return self._trip
 
@@ -458,7 +457,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _corrected(
         self, states: EnergyState, stamps: np.ndarray, later: Sequence[_Correction]
     ) -> EnergyState:
-        """States with what reconciling had added by then."""
+        """States with the corrections made by then."""
         energy = np.full(len(states.stamp_ns), self._correction.energy)
         variance = np.full(len(states.stamp_ns), self._correction.variance)
         for stamp_ns, correction in later:
@@ -481,7 +480,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         current: np.ndarray,
         charge: np.ndarray,
     ) -> list[_Correction]:
-        """Take battery readings; gives what dropouts were corrected by, and when."""
+        """Take battery readings; returns the corrections of dropouts, with their stamps."""
         if not (len(stamps) or course.ended):
             return []
         self._told.append((stamps, voltage, current, charge))
@@ -518,12 +517,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         return corrections
 
     def _end(self, dropout: Dropout, charge: float) -> None:
-        """A dropout ended, before which the state of charge was this."""
+        """End a dropout that began at this state of charge."""
         self.reconciled = reconcile(dropout, UNKNOWN)
         self._awaits_charge = dropout, charge
 
     def _reconcile(self, dropout: Dropout, before: float, after: float) -> TripCorrection:
-        """Join a dropout with its states of charge, unless no car can do what they say."""
+        """Join a dropout with its states of charge, unless these are impossible."""
         by_charge = self.gauge.energy_between(before, after)
         if not abs(by_charge.value) <= MAX_POWER * dropout.duration:
             by_charge = UNKNOWN
@@ -537,7 +536,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def state(self) -> EnergyState:
-        """The meter's, with what reconciling added, of all that is counted."""
+        """State of the meter with all corrections."""
         course = self.meter.course
         return next(self._corrected(course.states(course.end), NO_STAMPS, ()).rows())
 
@@ -565,7 +564,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._before_reset.distance + self.trip.total.distance
 
     def follow(self, plan: Plan, forecast: Forecast) -> None:
-        """Take a plan for the route that the car follows from here on.
+        """Take a plan as the route that the car follows from here on.
 
         A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
         """
@@ -589,7 +588,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self.show() if self._newest_ns - self._summary_ns >= SUMMARY_NS else None
 
     def show(self) -> AccountSummary:
-        """The account now, to be published: no later lifetime draws or regenerates less."""
+        """The account now, to be published; later lifetimes draw and regenerate no less."""
         self._summary_ns = self._newest_ns
         summary = self.summary()
         self._shown = summary.lifetime
@@ -638,7 +637,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return remaining(usable, cost if route is None else route.ahead(self.odometer, cost))
 
     def _route_ahead(self) -> Route | None:
-        """The route that the car follows, unless it is over."""
+        """The route that the car follows; None once it is over."""
         route = self.route
         over = route is None or route.left(self.odometer, self._newest_ns) <= 0.0
         return None if over else route
@@ -660,7 +659,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         )
 
     def take(self, saved: SavedAccount) -> None:
-        """Go on from a saved account; after a ValueError it is not to be used before `reset`."""
+        """Go on from a saved account; after a ValueError call `reset` before any other use."""
         self.meter.take(saved.meter)
         self.trip.take(saved.trip)
         self.gauge.take(saved.charge)
@@ -674,6 +673,6 @@ class EnergyAccount(Saveable[SavedAccount]):
 
 
 def _is_possible(power: Any, sigma: Any, most: float) -> Any:
-    """Whether power and its 1-sigma, W, may be counted; a sigma may be NaN, unknown."""
+    """True where power and its 1-sigma, W, are possible; a sigma may be NaN, unknown."""
     possible = (sigma >= 0.0) & (sigma <= MAX_POWER)
     return (abs(power) <= most) & (possible | (sigma != sigma))

@@ -1,9 +1,9 @@
-"""The battery as a state: its charge, and the voltage that falls with it and with current.
+"""Model of the battery: charge, and a voltage that falls with charge and with current.
 
-What a kilowatt-hour takes of the state of charge is not one number: a full battery has a higher
-voltage than an empty one, and its resistance costs the more the harder it is driven. Charge in
-ampere hours is one number (61.2 to 62.7 Ah on eleven trips of an i3, whose energy per percent
-differs by 11 %). So the charge along a plan follows
+The share of charge that a kilowatt-hour takes varies: a full battery has a higher voltage than an
+empty one, and its resistance costs more at higher power. The capacity in ampere hours does not
+vary (61.2 to 62.7 Ah on eleven trips of an i3, whose energy per percent differs by 11 %). So the
+charge along a plan follows
 
     dq/dt = -I / Q,    P = V I,    V = U(q) - R I
 
@@ -33,10 +33,10 @@ from evpinn_ros.core.signals.readings import (
 )
 
 LEARN_EVERY = 1.0  # s
-# 1-sigma of the voltage that the model lacks, V: 1.5 V, which last for a minute.
+# 1-sigma of the error of the voltage, V: 1.5 V that last for a minute.
 NOISE = 10.0
 LEAST_SAMPLES = 60  # before the model is used
-LEVEL_TIME = 20.0  # s over which what it lacks now is averaged
+LEVEL_TIME = 20.0  # s over which the error of the voltage is averaged
 # 1-sigma before any reading, and drift in an hour (temperature): of the voltage U at half
 # charge, of its slope by charge, both as shares of it; of R as a share of its prior.
 PRIOR_SHARE = np.array([0.08, 0.1, 1.0])
@@ -104,11 +104,11 @@ class BatteryModel(Saveable[SavedBattery]):
 
     @property
     def known(self) -> bool:
-        """True if there is enough of it to forecast with."""
+        """True if enough was learned to forecast with."""
         return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
 
     def add_reading(self, reading: BatteryReading) -> None:
-        """Learn from one reading, as `extend` does from arrays."""
+        """Learn from one reading: the scalar twin of `extend`."""
         values = reading.voltage, reading.current, reading.state_of_charge
         self.extend(np.array([reading.stamp_ns]), *(np.array([value]) for value in values))
 
@@ -119,7 +119,7 @@ class BatteryModel(Saveable[SavedBattery]):
         known = (charge >= 0.0) & (charge <= 1.0)
         charge = np.append(self._charge, np.where(known, charge, math.nan))
         told = np.maximum.accumulate(np.where(np.isnan(charge), 0, np.arange(len(charge))))
-        charge = charge[told]  # the last one told
+        charge = charge[told]  # the last known one
         self._charge = float(charge[-1])
         possible = (voltage >= MIN_VOLTAGE) & (voltage <= MAX_VOLTAGE)
         possible &= np.abs(current) <= MAX_CURRENT
@@ -165,7 +165,7 @@ class BatteryModel(Saveable[SavedBattery]):
         scale = self._scale(float(self._state[0]))
         self._covariance += np.diag((scale * DRIFT_SHARE) ** 2 * elapsed / 3600)
         excess = np.sqrt(np.diag(self._covariance)) / (scale * PRIOR_SHARE)
-        narrow = 1 / np.maximum(excess, 1.0)  # never less sure than before any reading
+        narrow = 1 / np.maximum(excess, 1.0)  # sigma never exceeds that of the prior
         self._covariance *= np.outer(narrow, narrow)
         row = np.array([1.0, charge - 0.5, -current])
         error = voltage - float(row @ self._state)
@@ -178,7 +178,7 @@ class BatteryModel(Saveable[SavedBattery]):
         self._learned_ns = stamp_ns
 
     def after(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> BatteryEnd:
-        """The battery at the end of one plan; its charge 0 where it would be empty before.
+        """The battery at the end of one plan; charge 0 if it would be empty before.
 
         Args:
             result: forecast of a single plan, shape (n,).
@@ -197,8 +197,8 @@ class BatteryModel(Saveable[SavedBattery]):
     def along(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
         """State of charge at each point of one plan and its 1-sigma, shape (2, n).
 
-        It is energy over capacity while too little is known of the battery itself; NaN where
-        unknown, below 0 where the battery would be empty.
+        While too little was learned of the battery, it is energy over capacity. NaN where unknown,
+        below 0 where the battery would be empty.
         """
         if charge.known and self.known:
             full = self._gauge.capacity
@@ -228,7 +228,7 @@ class BatteryModel(Saveable[SavedBattery]):
         return max(float(self._line(charge)), MIN_VOLTAGE)
 
     def _line(self, charge: Any) -> Any:
-        """U at states of charge, with what the straight line lacks now, V."""
+        """U at states of charge, with the present error of the straight line, V."""
         base, slope = self._state[:2].tolist()
         return base + slope * (charge - 0.5) + self._level
 
@@ -236,7 +236,7 @@ class BatteryModel(Saveable[SavedBattery]):
         return max(float(self._state[2]), 0.0)
 
     def _drawn(self, power: float, charge: float) -> float:
-        """Current, A, that gives a power, W; the most there is where there is not enough."""
+        """Current, A, that gives a power, W, or the largest possible power."""
         voltage = self._open_voltage(charge)
         root = math.sqrt(max(voltage**2 - 4 * self._resistance() * power, 0.0))
         return 2 * power / (voltage + root)  # the stable form, also for R = 0

@@ -1,9 +1,9 @@
-"""State of charge between its readings, and the capacity that it shows.
+"""State of charge between its readings, and the capacity learned from it.
 
 A drop of the state of charge by d while the battery gave the measured energy E says that the full
-battery holds E / d. Readings are rounded, so d is only as good as their step, which is seen in
-them; what a percent is differs beside that with temperature and age, by `CAPACITY_SPREAD`. Such
-readings and the prior of the vehicle file are averaged by their variance.
+battery holds E / d. Readings are rounded, so d is as uncertain as their step, which is learned
+from them; besides, the energy of a percent varies with temperature and age by `CAPACITY_SPREAD`.
+Such values and the prior of the vehicle file are averaged by their variance.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from typing import Annotated, NamedTuple
 from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
-CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, then a state of charge is projected
-LEAST_CHANGE = 0.1  # of the state of charge, that says something of capacity
-LEAST_STEPS = 10  # of its rounding, in that change
+CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, after which charge is projected
+LEAST_CHANGE = 0.1  # of the state of charge, from which on capacity is learned
+LEAST_STEPS = 10  # rounding steps in that change
 FIRST_STEP = 0.01  # of the readings, before one was seen
-SMALLEST_STEP, LARGEST_STEP = 0.005, 0.05  # finer ones are drawn between readings
+SMALLEST_STEP, LARGEST_STEP = 0.005, 0.05  # finer steps are interpolated by the car
 CAPACITY_PRIOR = 0.2  # relative 1-sigma of the vehicle file: usable or gross, new or aged
-CAPACITY_SPREAD = 0.05  # 1-sigma of a reading beside rounding
+CAPACITY_SPREAD = 0.05  # relative 1-sigma of one capacity, without rounding
 MOST_LEARNED = 1e9  # changes that a saved capacity rests on
 CAPACITY_LIMITS = (1e6, 5e9)  # J
 OUTLIER = 3.0  # sigma
 
 
-MOST = 1e15  # of what is saved, in any unit
+MOST = 1e15  # of saved values, in any unit
 
 
 class Uncertain(NamedTuple):
@@ -46,7 +46,7 @@ UNKNOWN = Uncertain(math.nan, math.nan)
 
 
 class _ChargeSample(NamedTuple):
-    """A state of charge with what was counted at that moment.
+    """A state of charge with the totals at that moment.
 
     Attributes:
         stamp_ns: of the reading.
@@ -96,7 +96,7 @@ class ChargeGauge(Saveable[SavedGauge]):
         self.take(SavedGauge())
 
     def take(self, saved: SavedGauge) -> None:
-        """Go on from what was learned; ValueError where no battery holds that."""
+        """Go on from what was learned; ValueError for an impossible capacity."""
         low, high = self._limits
         capacity = saved.capacity
         if capacity is not None and not (low <= capacity[0] <= high and 0 < capacity[1] <= high):
@@ -128,7 +128,7 @@ class ChargeGauge(Saveable[SavedGauge]):
         return Uncertain(*(joules / self._prior.value for joules in self.capacity))
 
     def is_new(self, charge: float, unmeasured_s: float | None) -> bool:
-        """True if `update` would learn anything of this but that it is the newest."""
+        """True if `update` would learn anything from this but the newest stamp."""
         last, anchor = self._last, self._anchor
         if last is None or anchor is None or charge != last.charge:
             return True
@@ -137,7 +137,7 @@ class ChargeGauge(Saveable[SavedGauge]):
     def update(
         self, stamp_ns: int, charge: float, consumed: Uncertain, unmeasured_s: float | None
     ) -> None:
-        """Take a state of charge; one that is not within 0..1 says nothing.
+        """Take a state of charge; one outside 0..1 is ignored.
 
         Args:
             stamp_ns: of the reading.
@@ -179,7 +179,7 @@ class ChargeGauge(Saveable[SavedGauge]):
     def _average(self, shown: Uncertain) -> None:
         """Weigh by variance, and never be surer than one reading's spread over four.
 
-        What lies far off is as unsure as that: a winter trip of the i3 says 29 kWh, others 23.
+        Outliers get a larger sigma: a winter trip of the i3 gives 29 kWh, others 23.
         """
         if not self.capacity.known:
             self.capacity = shown
@@ -192,14 +192,14 @@ class ChargeGauge(Saveable[SavedGauge]):
         self.capacity = Uncertain(value, sigma)
 
     def projected(self, stamp_ns: int) -> bool:
-        """True if the state of charge at this moment is no reading but follows from energy."""
+        """True if the state of charge at this moment follows from energy, not from a reading."""
         return self._last is not None and stamp_ns - self._last.stamp_ns > CHARGE_TIMEOUT_NS
 
     def charge(self, stamp_ns: int, consumed: Uncertain) -> Uncertain:
         """State of charge, 0..1, at a moment by which this net energy, J, was taken.
 
-        The reading itself while it is at most a minute old; the energy taken since is taken off
-        it from then on. Unknown without a reading, or where the capacity for that is missing.
+        The last reading while it is at most a minute old; after that, less the energy taken since.
+        Unknown without a reading, or without the capacity that this needs.
         """
         last = self._last
         if last is None:

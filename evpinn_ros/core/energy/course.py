@@ -1,9 +1,8 @@
-"""A plan as a function of time: the steps that it means, whatever points or borders it has.
+"""A plan as steps of the road, which do not depend on its points or borders.
 
-A point that lies on the line between its neighbours says nothing new, nor does a border between
-legs of one speed and slope (`estimation.even`). Both are left out, and what remains is divided by
-rules of its own, so that energy and sigma are those of the road. The points of a plan then read
-them off.
+A point on the line between its neighbours adds no information, nor does a border between legs of
+one speed and slope (`estimation.even`). Both are left out, and the rest is divided by fixed rules,
+so that energy and sigma depend on the road alone. The points of the plan are interpolated.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from evpinn_ros.core.signals.interval import Steps
 # Of speed within a step of a line at most: m/s, and of the highest speed on the line.
 SMALL_CHANGE, SMALL_SHARE = 1.0, 0.25
 MOST_STEPS = 100_000  # of the lines of a plan together, beyond one each
-ON_A_LINE = 1e-7, 1e-6  # m/s and m by which rounding takes a point from the line it is on
+ON_A_LINE = 1e-7, 1e-6  # m/s and m: distance from a line that is rounding
 WIND_STEPS = 50.0  # in the length in which a wind fades
 
 
@@ -134,7 +133,7 @@ def _divided(
         distance: there, m.
         speed: there, m/s.
         height: there, m.
-        piece: m that a step is long at most.
+        piece: longest step, m.
     """
     duration, length = np.diff(time), np.diff(distance)
     start, end, middle = speed[:-1], speed[1:], _middle(duration, length, speed)

@@ -1,4 +1,4 @@
-"""Plan that a drive would have been, and heights as roads have them."""
+"""Plan of a recorded drive, and smooth heights of its road."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile, travelled
 
 PLAN_STEP = 1.0  # s between points of a plan
-COARSE = 5.0  # s between speeds, from which on they vary in between
+COARSE = 5.0  # s between speeds, above which speed varies between them
 ELEVATION_STEP = 5.0  # m
 ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
-MOST_STEPS = 1_000_000  # of elevation; longer ways have longer ones
+MOST_STEPS = 1_000_000  # of elevation; longer drives have longer steps
 
 
 def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
-    """The plan that a drive would have been: speed once a second, and elevation.
+    """The plan of a recorded drive: speed once a second, and elevation.
 
-    It was driven so, but for speeds that are so far apart that they vary in between (`COARSE`):
-    these are its points, and what drivers do between them is expected.
+    Speeds are commanded, unless they are so far apart that they vary in between (`COARSE`): then
+    they are the points of the plan, and uneven speed between them is expected.
 
     Args:
         speed: time, s, rising, and m/s, shape (n, 2), some seconds long.
@@ -39,7 +39,7 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
 
 
 def is_trace(time: np.ndarray) -> bool:
-    """True if recorded times, s, rising, are so close that what was driven is known."""
+    """True if recorded times, s, rising, are close enough to show every change of speed."""
     return float(np.median(np.diff(time))) <= COARSE
 
 

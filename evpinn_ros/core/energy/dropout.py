@@ -1,13 +1,12 @@
-"""A battery dropout: what the prediction says of it, and what is made of that when it is over.
+"""A battery dropout: its prediction, and the reconciliation when it is over.
 
-The state of charge before and after says the energy of a dropout too, as sure as its steps and
-the capacity are: two statements of one quantity, joined by their variances. What cannot be: a
-state of charge that rose was charged in between, and two statements further apart than three
-sigma contradict each other; then the prediction stays, and the diagnostics say so. Where speed
-was silent as well the prediction lacks that time: the state of charge, if it is surer than what
-may have been taken in that time (`energy.hole`), counts alone. Without a
-state of charge nothing is known of how wrong the prediction was: the battery tells power, and the
-power of that time is gone.
+The state of charge before and after also gives the energy of a dropout, with the uncertainty of
+its steps and of the capacity. Both values are joined by their variances. If the state of charge
+rose, the car was charged; if both values are further apart than three sigma, they contradict each
+other. Then the prediction stays, and the diagnostics say so. If speed was silent too, the
+prediction lacks that time: the state of charge counts alone, if it is surer than the energy that
+may have been taken then (`energy.hole`). Without a state of charge the error of the prediction
+stays unknown: the battery gives power, and the power of that time is lost.
 """
 
 from __future__ import annotations
@@ -44,10 +43,10 @@ class Dropout(NamedTuple):
     """One battery dropout that ended.
 
     Attributes:
-        end_ns: stamp of the battery's first word after it.
+        end_ns: stamp of the first battery reading after it.
         duration: s.
-        bridge: what the prediction says of it.
-        sigma: 1-sigma of its energy, with what is unknown, J.
+        bridge: its prediction.
+        sigma: 1-sigma of its energy, with that of unknown time, J.
     """
 
     end_ns: int
@@ -57,7 +56,7 @@ class Dropout(NamedTuple):
 
     @property
     def unknown_s(self) -> float:
-        """Time of it that nothing is known of, for speed was silent too, s."""
+        """Time of it without speed too, s."""
         return max(self.duration - self.bridge.covered_s, 0.0)
 
 
@@ -73,13 +72,13 @@ class Verdict(str, Enum):
 
 
 class Reconciled(NamedTuple):
-    """A dropout and what was made of it; energies in J.
+    """A dropout and its reconciliation; energies in J.
 
     Attributes:
         dropout: with what was predicted.
-        by_charge: the energy that the state of charge says, NaN where it says nothing.
+        by_charge: energy by the state of charge, NaN if unknown.
         correction: added to what was predicted.
-        variance_taken: by which the variance of the energy fell, J^2; negative where it rose.
+        variance_taken: decrease of the variance of the energy, J^2; negative if it rose.
         verdict: which of the rules applied.
     """
 
@@ -91,7 +90,7 @@ class Reconciled(NamedTuple):
 
 
 def reconcile(dropout: Dropout, by_charge: Uncertain) -> Reconciled:
-    """Join the prediction of a dropout with the energy, J, that the state of charge says."""
+    """Join the prediction of a dropout with the energy by the state of charge, J."""
 
     def keep(verdict: Verdict) -> Reconciled:
         return Reconciled(dropout, by_charge, 0.0, 0.0, verdict)

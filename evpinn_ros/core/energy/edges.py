@@ -1,11 +1,11 @@
 """Energy of the edges of a road network, for a router: many legs at once.
 
-An edge is a leg (`PowerModel.edge_rows`) that belongs to no trip: a warm car enters and leaves it
-as it drives on it, with the unevenness of its speed for each metre. So edges add up: cutting one
-in two changes no sum. Downhill one may give energy back: a router needs potentials or the
-algorithm of Bellman and Ford. A route is a trip: its energy is the forecast of its edges as legs,
-with its start, its end, and the changes of speed and slope in between. What is not known of the
-car is the same on every edge, so routes are compared by the sigma of their difference.
+An edge is a leg (`PowerModel.edge_rows`) that belongs to no trip: the car is warm, and its speed
+and slope do not change at the ends; unevenness of speed counts per metre. So edges add up: cutting
+one in two changes no sum. A downhill edge may give energy back, so a router needs potentials or
+the Bellman-Ford algorithm. A route is a trip: its energy is the forecast of its edges as legs,
+with start, end, and the changes of speed and slope in between. Errors about the car are the same
+on every edge, so routes are compared by the sigma of their difference.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.unevenness import OF_LEGS
 
 JUDGED = 2000  # edges by which directions are chosen
-LEAST_SHARE = 1e-4  # of the variance of these; a direction with less is left out
-CHUNK = 4096  # edges computed together, so that what they need stays in the cache
+LEAST_SHARE = 1e-4  # of their variance; directions with less are left out
+CHUNK = 4096  # edges computed together, which fit into the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,11 +36,11 @@ class Edges:
 
     Attributes:
         energy: J, shape (n,).
-        directions: what is not known of the car, one sigma each, J, shape (n, k): the same
-            direction is off in the same sense on every edge.
-        own: variance that is of an edge alone, J^2, shape (n,).
-        uneven: 1-sigma of what a driver's habit makes of uneven speed, J, shape (n,): off in the
-            same sense too.
+        directions: independent errors about the car, one sigma each, J, shape (n, k): each has
+            the same sense on every edge.
+        own: variance of single edges, J^2, shape (n,).
+        uneven: 1-sigma of uneven speed by the driver's habit, J, shape (n,): also of the same
+            sense on every edge.
         trip: function that forecasts a trip over edges of these numbers, one or more, in order.
     """
 
@@ -65,7 +65,7 @@ class Edges:
     ) -> Uncertain:
         """Energy that one route takes more than another, J, with the 1-sigma of that.
 
-        What the routes share (common edges, the unknowns of the car) cancels in the sigma.
+        Errors that the routes share (common edges, the car) cancel.
         """
         count, routes = len(self.energy), [np.asarray(route, dtype=int) for route in (one, other)]
         more, less = (np.bincount(route, minlength=count) for route in routes)
@@ -106,7 +106,7 @@ def edge_energies(
     rows, _ = rows_of(np.arange(count)[:: max(1, count // JUDGED)])
     unknown = math.sqrt(car.trust) * _directions(rows, model.covariance)
     energy, uneven = np.empty(count), np.empty(count)
-    directions = np.empty((count, unknown.shape[1]), np.float32)  # memory is what takes time
+    directions = np.empty((count, unknown.shape[1]), np.float32)  # memory traffic takes the time
     for begin in range(0, count, CHUNK):
         part = slice(begin, begin + CHUNK)
         rows, beyond = rows_of(part)
@@ -137,7 +137,7 @@ def edge_energies(
 
 
 def _directions(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Unknown directions of the car that these rows feel, one sigma each, shape (SIZE, k)."""
+    """Errors about the car that matter for these rows, one sigma each, shape (SIZE, k)."""
     variance, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(variance, 0.0))
     felt = rows @ root

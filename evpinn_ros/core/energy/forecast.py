@@ -3,9 +3,9 @@
 `forecast` is for optimisers: many speed profiles at once, whole trips, numpy or torch.
 `forecast_plan` is for one plan, or a few, with energy and power at every point. Both take each leg
 as one step of the one equation (`energy.power_model`): kinetic and potential energy are exact
-whatever the leg. The variance of the energy of a trip adds up what is not known of the car and of
-this drive, off in the same sense for the whole trip; loads that wander; what no state explains;
-and the hills of a plan that has none.
+whatever the leg. The variance of the energy of a trip is the sum of four: errors about the car and
+the drive, of the same sense all along; wandering loads; energy that no state explains; and unseen
+hills.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, size_of, sizes_
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.vehicle.files import Vehicle
 
-# m within which a trip turns away from where the car now points, and from the wind measured there
+# m in which a trip turns away from the present heading, and so from the measured wind
 DIRECTION_LENGTH = 5e3
 UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
-# Profiles computed together, and about their points, so that what they need stays in the cache.
+# Profiles, and roughly their points, that are computed together and fit into the cache.
 TOGETHER, POINTS_TOGETHER = 64, 24_000
 
 
@@ -66,7 +66,7 @@ class EnergyCurve(NamedTuple):
         time: s since the start.
         distance: m since the start.
         energy: J since the start.
-        sigma: 1-sigma of energy, J; NaN but at the end of a forecast without `along`.
+        sigma: 1-sigma of energy, J; without `along` it is NaN except at the end.
     """
 
     time: np.ndarray
@@ -85,7 +85,7 @@ class Forecast:
         power: W at each point, with the acceleration and grade of the leg that follows (at the
             last point: of the leg that ends there).
         sigma: 1-sigma of energy, J.
-        end: of the whole plan, what a comparison with another needs.
+        end: of the whole plan, for comparisons with others.
         curve: energy along one plan.
     """
 
@@ -108,7 +108,7 @@ class Forecast:
 
 
 class Air(NamedTuple):
-    """The air outside; None where nothing fresh tells.
+    """The air outside; None where no recent value is known.
 
     Attributes:
         celsius: temperature.
@@ -123,9 +123,9 @@ class Air(NamedTuple):
 
 UNKNOWN_AIR = Air()
 UNEVEN = "speeding up and braking between the points"
-# Of the 1-sigma that the vehicle file leaves of the car's part in a plan: then it tells the plan.
+# Share of the vehicle file's 1-sigma of a plan that is left, above which a note says so.
 HARDLY_DRIVEN = 0.7
-SHORT_OF_HEIGHTS = 0.01  # of the way without heights, from here on worth saying
+SHORT_OF_HEIGHTS = 0.01  # share of the way without heights from which on a note says so
 
 
 class PlanBasis(NamedTuple):
@@ -149,10 +149,9 @@ class PlanBasis(NamedTuple):
 
         Args:
             model: of the car.
-            given: what a planner expects.
+            given: conditions that a planner expects.
             air: measured, for what is not given.
-            density: of the air, kg/m^3; None: by its temperature and pressure, wherever they come
-                from.
+            density: of the air, kg/m^3; None: by its temperature and pressure.
         """
         celsius = air.celsius if given.temperature is None else given.temperature
         head_wind, wind_length = given.head_wind, math.inf
@@ -178,7 +177,7 @@ class PlannedEnergy(NamedTuple):
         course: state of charge along the curve of these, 0..1, and its 1-sigma, shape (2, m); NaN
             where unknown, below 0 where the battery is empty before.
         full: energy that the full battery gives at the mean power of the plan, J.
-        gauge: what is known of the battery.
+        gauge: state of charge and capacity.
     """
 
     given: Plan | Legs
@@ -191,7 +190,7 @@ class PlannedEnergy(NamedTuple):
 
     @property
     def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Times of the points, s, and by name, with its unit, what is known there."""
+        """Times of the points, s, and the values there by name with unit."""
         trip, energies, charge = self.trip, self.energies, 100.0 * self.charge
         return energies.time, {
             "distance_m": trip.distance,
@@ -218,14 +217,14 @@ class PlannedEnergy(NamedTuple):
 
     @property
     def uneven_part(self) -> str | None:
-        """Sentence on that part; None where it would read 0.00."""
+        """Sentence on that part; None if it rounds to 0.00."""
         part, whole = self.uneven / JOULES_PER_KWH, self.energies.energy[-1] / JOULES_PER_KWH
         if part < 0.005:
             return None
         return f"{part:.2f} of the {whole:.2f} kWh is for {UNEVEN}"
 
     def no_heights(self, units: Units = METRIC) -> str | None:
-        """Sentence on the part of the way whose height is not known; None where all is."""
+        """Sentence on the part of the way without heights; None if all is known."""
         unseen, whole = self.energies.end.unseen, float(np.ptp(self.trip.distance))
         if not unseen > SHORT_OF_HEIGHTS * whole:
             return None
@@ -239,7 +238,7 @@ class PlannedEnergy(NamedTuple):
 
     @property
     def beyond_driven(self) -> str | None:
-        """Sentence where drives have taught little of such a plan; None else, and before any."""
+        """Sentence if earlier drives show little of such a plan; else, or before any, None."""
         row, car = self.energies.end.row[LASTING], self.basis.model.car
         lasting = np.ix_(LASTING, LASTING)
         learned, file = (
@@ -252,12 +251,12 @@ class PlannedEnergy(NamedTuple):
 
     @property
     def record(self) -> str | None:
-        """Sentence on how well this car's drives were predicted; None where none was."""
+        """Sentence on how well this car's drives were predicted; None before any."""
         return self.basis.model.car.record.sentence
 
     @property
     def empty_at(self) -> float | None:
-        """Distance at which the battery is empty, m; None if it lasts, or nothing is known."""
+        """Distance at which the battery is empty, m; None if it lasts or is unknown."""
         return self._empty(0.0)
 
     @property
@@ -266,7 +265,7 @@ class PlannedEnergy(NamedTuple):
         return self._empty(-GAUSSIAN_QUANTILE), self._empty(GAUSSIAN_QUANTILE)
 
     def _empty(self, sigmas: float) -> float | None:
-        """Distance at which the charge and so many of its sigmas are used up, m."""
+        """Distance at which the charge plus a number of its sigmas is used up, m."""
         curve, charge = self.energies.curve, self.course[0] + sigmas * self.course[1]
         if curve is None or not (charge <= 0.0).any():
             return None
@@ -276,7 +275,7 @@ class PlannedEnergy(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A trip driven otherwise: what, the energy it takes more, J, and the time, s."""
+    """A variation of a trip: its name, the additional energy, J, and time, s."""
 
     words: str
     energy: Uncertain
@@ -292,15 +291,14 @@ def forecast(
 ) -> Energies:
     """Energy of many speed profiles, and its 1-sigma.
 
-    With torch the results have gradients by all three. Power bends where the car turns from
-    driving to braking, and where the table of the network goes on to its next node; the gradient
-    is that of the pieces.
+    With torch the results have gradients by all three. Power has kinks between driving and
+    braking, and at the nodes of the network's table; the gradient is that of the pieces.
 
     Args:
         profiles: what might be driven.
         vehicle: the car.
-        model: what was learned of it, None for the vehicle file alone.
-        air_density: kg/m^3, None for that at the temperature which the car knew last.
+        model: the learned car, None for the vehicle file alone.
+        air_density: kg/m^3, None for that at the last temperature known to the car.
 
     Raises:
         PlanError: shapes do not fit, time does not rise, speed is negative or a number not finite.
@@ -344,21 +342,21 @@ def forecast_plan(
 ) -> Forecast:
     """Energy, power and 1-sigma along a plan.
 
-    It is that of the plan's course (`energy.course`): points and borders that say nothing new
-    change nothing. What drivers do on lines and on legs longer than some seconds is expected, as
-    this car's drives had it (`estimation.unevenness`), unless speeds are commanded.
+    It is that of the plan's course (`energy.course`), so redundant points and borders change
+    nothing. On lines and legs longer than some seconds, uneven speed is expected as in this car's
+    drives (`estimation.unevenness`), unless speeds are commanded.
 
     Args:
         plan: one trip, legs of one, or many trips.
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.
-        wind_length: m within which it fades to a third. Few plans say where they lead, so less and
-            less of a wind that was measured is expected along the way; one that is stated stays.
+        wind_length: m within which it fades to a third. Most plans have no direction, so a
+            measured wind counts less and less along the way; a given one stays.
         steady: True if speeds are commanded, False if expected; None: as the plan has it. Of legs
             the mean speeds are then driven evenly.
-        along: whether sigma is wanted at every point of one trip; without it may be NaN at all
-            but the last, which takes half the time.
+        along: whether to compute sigma at every point of one trip; without it sigma may be NaN
+            except at the last point, in half the time.
 
     Raises:
         PlanError: the model gives no finite energy.
@@ -435,7 +433,7 @@ def plan_parts(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Energies of one trip by part and their 1-sigma, J, shape (COUNT + 1,) each.
 
-    They are in the order of `terms.Part`; the last is what uneven speed between the points takes.
+    In the order of `terms.Part`; the last is the energy of uneven speed between the points.
 
     Args:
         plan: the trip.
@@ -453,7 +451,7 @@ def plan_parts(
     car = model.car
     covariance = car.trust * (rows @ model.covariance @ rows.T)
     covariance[-1, -1] += (car.unevenness.share * forecast.end.uneven) ** 2
-    # No part of what is known as a whole, and none beside it, is a negative loss.
+    # No loss is negative, neither in the known whole nor beside it.
     whole, exactly = np.zeros(COUNT), np.zeros(())
     whole[WHOLE] = 1.0
     energies = rows @ car.mean

@@ -1,4 +1,4 @@
-"""Answers plans from the newest that is known of the car and its battery."""
+"""Answers plans with the newest knowledge of the car and its battery."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from evpinn_ros.core.signals.road import WIND_STALE_AFTER
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 
-MOST_POINTS_TOGETHER = 100_000  # of all plans that are compared, which are kept for that
+MOST_POINTS_TOGETHER = 100_000  # of all plans that are kept for comparisons
 
 
 STALE_AFTER = Air(1800.0, 1800.0, WIND_STALE_AFTER)
@@ -36,9 +36,9 @@ STALE_AFTER = Air(1800.0, 1800.0, WIND_STALE_AFTER)
 class PlanAnswer:
     """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
 
-    `differences` is what it takes more than each plan asked together with it, by name, J;
-    `conditions` are the names of those that a planner gave, all else being the last known;
-    `assumed` are the conditions that the forecast took, by name, without those not known.
+    `differences` is its energy less that of each plan asked together with it, by name, J.
+    `conditions` names the conditions that a planner gave; the others are the last known.
+    `assumed` has the conditions that the forecast used, by name, without unknown ones.
     """
 
     forecast: Forecast
@@ -86,7 +86,7 @@ class Forecaster:
     """Holds what forecasts need.
 
     Attributes:
-        basis: what they rest on.
+        basis: source of the car.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -105,14 +105,14 @@ class Forecaster:
         self._compared_with: object = None
 
     def set_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
-        """Take an estimate of the car and its 1-sigma, unless there is a model, which knows more.
+        """Take an estimate of the car and its 1-sigma; ignored once there is a model.
 
         Raises:
-            ValueError: there is no such car; what was received before stays.
+            ValueError: the car is impossible; the one before stays.
         """
         if self.basis is Basis.MODEL:
             return
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not possible
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused below
             given = combined_model(combined, sigmas, self._vehicle)
             possible = car_is_possible(given.car)
         if not possible:
@@ -120,7 +120,7 @@ class Forecaster:
         self._model, self.basis = given, Basis.COMBINATIONS
 
     def set_model(self, car: CarModel) -> None:
-        """Take all that is known of the car's power."""
+        """Take the model of the car's power."""
         self._model, self.basis = PowerModel(car), Basis.MODEL
 
     def set_air(
@@ -132,11 +132,11 @@ class Forecaster:
                 self._air[name] = getattr(reading, name), now_ns
 
     def set_conditions(self, conditions: PlanConditions) -> None:
-        """Take the conditions of all plans from now on, in place of those before."""
+        """Take the conditions of all later plans, in place of earlier ones."""
         self._conditions = conditions
 
     def air(self, now_ns: int) -> Air:
-        """Air at this moment; a clock that went back makes nothing younger."""
+        """Air at this moment; a clock that goes back makes no value younger."""
         fresh = {
             name: value
             for name, (value, received_ns) in self._air.items()
@@ -160,8 +160,8 @@ class Forecaster:
             charge: state of charge now, 0..1.
             capacity: energy of the full battery, J.
             now_ns: by the clock of `set_air`.
-            battery: tells its end better than capacity once enough is known of it.
-            asked: what of it; conditions that it leaves out are as `set_conditions` has them.
+            battery: gives the end better than capacity, once enough was learned of it.
+            asked: the question; conditions that it leaves out are those of `set_conditions`.
 
         Raises:
             PlanError: there is no finite answer.
@@ -192,7 +192,7 @@ class Forecaster:
         """Energy of a plan beyond those asked together with it, by their names, J."""
         if asked.together is None or asked.together != self._together:
             self._together, self._others = asked.together, {}
-        if basis != self._compared_with:  # the others were answered with the car of before
+        if basis != self._compared_with:  # the others were answered with another car
             self._compared_with = basis
             for name, (other, _) in self._others.items():
                 self._others[name] = other, forecast_plan(other, *basis, along=False).end

@@ -1,11 +1,10 @@
-"""A hole: time of which neither the battery nor a prediction from speed says anything.
+"""A hole: time with neither a battery reading nor a prediction from speed.
 
-What the car took in it is not counted, but it is in sigma, as what power of the last minutes lets
-expect: their mean power may have gone on in every hole, so what several lack adds up, and their
-spread about it was walked as an error of power that is forgotten after seconds. A car that stood
-before may have driven off, so some seconds of driving are added to those minutes; of a car whose
-battery was never heard they are all that is known. What was known when the battery fell silent
-counts, or sigma could shrink.
+The energy of a hole is not counted, but its sigma is, by the power of the last minutes: their mean
+may have gone on in every hole, so the energies of several holes add up; their spread counts as an
+error of power that decorrelates within seconds. A car that stood may have driven off, so some
+seconds of driving are added to those minutes; for a car without any battery reading they are all.
+The minutes before the battery fell silent count, otherwise sigma could shrink.
 
 On 18 drives (12 of a BMW i3, 6 of the Changchun sedan) cut at random for 2 to 300 s, what was
 taken is 0.76 sigma as root mean square, 0.7 to 0.95 for each length, and 2 % are beyond 2 sigma.
@@ -25,9 +24,9 @@ from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MEMORY = 180.0  # s of the power that counts
-FORGOTTEN = 5.0  # s after which power in a hole is another
+FORGOTTEN = 5.0  # s, time constant of power in a hole
 DRIVING_S, DRIVING_POWER = 30.0, 15e3  # s and W, as root mean square, added to what is known
-LONGEST = 600.0  # s; who was away longer may have been switched off, as the car
+LONGEST = 600.0  # s; after a longer absence the car may have been switched off
 
 Weight: TypeAlias = Annotated[float, Range(0.0, 2 * MEMORY)]
 Square: TypeAlias = Annotated[float, Range(0.0, MAX_POWER * MOST_ENERGY)]
@@ -64,7 +63,7 @@ def recent_powers(before: np.ndarray, course: IntegralCourse) -> np.ndarray:
 
 
 def taken_variance(recent: np.ndarray, seconds: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Variance about zero, J^2, that k holes add to that of all.
+    """Variance about zero, J^2, that each of k holes adds to the total.
 
     Args:
         recent: a row of `RecentPower` for each, shape (k, 3).
@@ -76,7 +75,7 @@ def taken_variance(recent: np.ndarray, seconds: np.ndarray, before: np.ndarray) 
     mean = energy / weight
     spread = np.maximum(square / weight - mean**2, 0.0)
     lasting = mean**2 + DRIVING_S / weight * DRIVING_POWER**2
-    square_s = seconds * (seconds + 2.0 * before)  # by which the square of all seconds grows
+    square_s = seconds * (seconds + 2.0 * before)  # growth of the squared sum of seconds
     variance: np.ndarray = lasting * square_s + spread * walked(seconds, FORGOTTEN)
     return variance
 

@@ -1,9 +1,9 @@
 """Energy consumed since reset: measured, predicted, integrated by the Runge-Kutta network.
 
-The measured integral stays where it is during a battery dropout; the predicted ones go on from
-speed alone, and bridge it. When speed drops out as well, or the process was away for minutes,
-nothing is known of what was taken: no line is drawn across that time, but it is counted, and what
-may have been taken is in sigma (`energy.hole`).
+The measured integral stops during a battery dropout; the predicted ones go on from speed alone and
+bridge it. If speed drops out too, or the process was away for minutes, the energy of that time is
+unknown: it is not interpolated; the time is counted, and the energy that may have been taken is in
+sigma (`energy.hole`).
 
 Power comes in blocks, of predictions and of measurements, in order of stamps; how they are cut
 changes nothing.
@@ -38,7 +38,7 @@ from evpinn_ros.core.estimation.outputs import NO_POWERS, PowerRows
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
-BATCH = 4000  # steps that the network takes at once
+BATCH = 4000  # steps computed at once by the network
 LAST_NS = np.iinfo(np.int64).max
 
 
@@ -71,7 +71,7 @@ class EnergyState:
             it that lasts is counted for the time the battery was silent.
         rknn: the Runge-Kutta network on the same power; its power is the last step's mean.
         regenerated: as positive J and W; of measured power, and of predicted power for the time
-            the battery was silent. Its sigma is that of the net energy it is a part of.
+            the battery was silent. Its sigma is that of the net energy.
         consumed: net energy by the same rule, J: measured where possible, predicted elsewhere.
             Where they join, one sample may count twice or not at all.
         consumed_sigma: its 1-sigma, J.
@@ -124,7 +124,7 @@ class SavedMeter:
     """Integrals of a meter, their 1-sigma, J, and the present dropout; see `EnergyState`.
 
     Attributes:
-        until_ns: the moment up to which all is counted, 0 if nothing is to be joined to it.
+        until_ns: the moment up to which all is counted, 0 if later power does not continue it.
         recent: power measured in the last minutes.
     """
 
@@ -141,7 +141,7 @@ class SavedMeter:
     recent: RecentPower = field(default_factory=RecentPower)
 
     def __post_init__(self) -> None:
-        """Refuse what no car can have drawn in that time."""
+        """Refuse impossible energies."""
         self.measured.refuse_above(MAX_POWER)
         self.predicted.refuse_above(MAX_POWER)
         if abs(self.rknn) > MAX_POWER * self.predicted.covered_s * ROUNDING:
@@ -150,7 +150,7 @@ class SavedMeter:
 
 @dataclass(frozen=True, slots=True)
 class MeterCourse:
-    """What a meter had counted along a block.
+    """Totals of a meter along a block.
 
     Rows of predictions are after 0 to n of them, rows of measurements after 0 to m.
 
@@ -158,17 +158,17 @@ class MeterCourse:
         predicted: the block of predictions.
         measured: the block of measurements.
         integrals: of both.
-        parts: what was predicted: the columns of `Bridge`, shape (n + 1, 4).
+        parts: predicted energies: the columns of `Bridge`, shape (n + 1, 4).
         plain: the same energy by trapezoids, J, shape (n + 1,).
         rknn: by the network, J, and its power, W, shape (n + 1, 2).
         variances: of the energies predicted and measured, J^2, shapes (n + 1,) and (m + 1,).
         powers: the last ones used, W, likewise.
         recent: columns of `RecentPower`, as measured, shape (m + 1, 3).
         newest_ns: of the stamps, shapes (n + 1,) and (m + 1,).
-        told: what the estimator last told: energy of a dropout and its 1-sigma, shape (n + 1, 2).
-        since_ns: the last word of the battery, 0 before any, shape (m + 1,).
-        first_ns: stamp of the first prediction, which stands in for that, shape (n + 1,).
-        heard: whether the battery has spoken, shape (m + 1,).
+        told: last energy of a dropout by the estimator and its 1-sigma, shape (n + 1, 2).
+        since_ns: stamp of the last battery reading, 0 before any, shape (m + 1,).
+        first_ns: stamp of the first prediction, used in its place, shape (n + 1,).
+        heard: whether there was a battery reading, shape (m + 1,).
         anchors: `parts` and variance at that stamp, shape (m + 1, 5).
         predicted_ns: stamp of the last prediction that is used, shape (1,).
         anchor_rows: `parts` and variance at it, shape (1, 5).
@@ -206,12 +206,12 @@ class MeterCourse:
         return Counts(*(np.array([len(block.stamp_ns)]) for block in powers))
 
     def before(self, stamps: np.ndarray) -> Counts:
-        """What is counted before stamps, ns, shape (k,)."""
+        """Counts of powers before stamps, ns, shape (k,)."""
         powers = self.predicted, self.measured
         return Counts(*(block.stamp_ns.searchsorted(stamps) for block in powers))
 
     def at_predictions(self) -> Counts:
-        """What is counted up to each prediction."""
+        """Counts of powers up to each prediction."""
         stamps = self.predicted.stamp_ns
         heard = self.measured.stamp_ns.searchsorted(stamps, side="right")
         return Counts(np.arange(1, len(stamps) + 1), heard)
@@ -224,7 +224,7 @@ class MeterCourse:
         return newest_ns
 
     def silent_s(self, at: Counts, stamp_ns: np.ndarray) -> np.ndarray:
-        """Time from the last word of the battery, or the first stamp, to stamps, s."""
+        """Time from the last battery reading, or the first stamp, to stamps, s."""
         since_ns = self.since_ns[at.measured]
         since_ns = np.where(since_ns == 0, self.first_ns[at.predicted], since_ns)
         return np.where(since_ns == 0, 0, np.maximum(stamp_ns - since_ns, 0)) / NANOSECONDS
@@ -247,14 +247,14 @@ class MeterCourse:
     def bridges(
         self, at: Counts, seconds: np.ndarray, until: np.ndarray, *, in_turn: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bridge since the battery last spoke, its short 1-sigma and its 1-sigma, J.
+        """Bridge since the last battery reading, its short 1-sigma and its 1-sigma, J.
 
         Until a moment with these parts and variance, shape (k, 5). `in_turn`: the k are dropouts
         that followed each other.
 
-        In so many seconds as `LEAST_DROPOUT` the energy that the estimator tells counts, before
-        that the integral of its powers. So it does after a restart, up to the battery's next
-        word: the estimator may tell of a dropout that was counted in part before.
+        From `LEAST_DROPOUT` on, the dropout energy of the estimator counts, before that the
+        integral of its powers. The integral also counts after a restart until the next battery
+        reading, because a part of that dropout may have been counted before.
         """
         anchors, told = self.anchors[at.measured], self.told[at.predicted]
         bridge = until[:, :4] - anchors[:, :4]
@@ -274,7 +274,7 @@ class MeterCourse:
         return bridge, short, np.hypot(np.where(is_told, told[:, 1], lasting), np.sqrt(hole))
 
     def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
-        """All dropouts, the present one among them, and where there is one; shape (k, 7), (k,)."""
+        """Sums of all dropouts with the present one, and whether there is one; (k, 7), (k,)."""
         seconds = self.silent_s(at, self.newest(at))
         silent, dropouts = self.silent(at, seconds), self.dropouts[at.measured]
         open_step = silent | (seconds > MAX_GAP)
@@ -282,7 +282,7 @@ class MeterCourse:
             return dropouts, silent
         bridge, short, sigma = self.bridges(at, seconds, self.predicted_at(at.predicted))
         variance = sigma**2
-        unmeasured_s = np.where(silent, seconds, 0.0)  # a slow battery will tell of this time
+        unmeasured_s = np.where(silent, seconds, 0.0)  # a slow battery may still measure it
         present = np.column_stack((bridge, variance, variance - short**2, unmeasured_s))
         return dropouts + np.where(open_step[:, None], present, 0.0), silent
 
@@ -302,14 +302,14 @@ class MeterCourse:
         return measured, self.variances[1][at.measured] + now[:, 4], now[:, 6]
 
     def _measured(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
-        """Energy that was measured and the regenerated part of it, J."""
+        """Measured energy, and its regenerated part, J."""
         integral = self.integrals[1]
         used = integral.used[at.measured]
         regenerated = integral.regenerated[used]
         return integral.drawn[used] - regenerated, regenerated
 
     def states(self, at: Counts) -> EnergyState:
-        """States once so much is counted."""
+        """States after the counted powers."""
         now, silent = self.until_now(at)
         measured, regenerated = self._measured(at)
         predicted_power, measured_power = (
@@ -343,7 +343,7 @@ class MeterCourse:
 class EnergyMeter(Saveable[SavedMeter]):
     """Integrates measured and predicted power side by side.
 
-    Time that goes back is dropped and counted sample by sample; whoever knows that a bag started
+    Samples whose time goes back are dropped and counted; a caller that knows that a bag started
     over calls `reset`.
 
     Attributes:
@@ -377,11 +377,11 @@ class EnergyMeter(Saveable[SavedMeter]):
         self.reset()
 
     def reset(self) -> None:
-        """Set everything to zero, as if nothing had ever been counted."""
+        """Set all totals to zero."""
         self.take(SavedMeter())
 
     def take(self, saved: SavedMeter) -> None:
-        """Go on from what was counted; the next sample starts a new step, not a gap."""
+        """Go on from saved totals; the next sample starts a new step, not a gap."""
         self._measured = EnergyIntegral(MAX_GAP, saved.measured)
         self._predicted = EnergyIntegral(self._max_gap, saved.predicted)
         sigmas = saved.predicted_sigma, saved.measured_sigma
@@ -419,7 +419,7 @@ class EnergyMeter(Saveable[SavedMeter]):
     def add(self, predicted: PowerRows, measured: PowerRows) -> MeterCourse:
         """Take the powers that follow.
 
-        A measurement of time that predictions have bridged is dropped, or it would count twice.
+        Measurements of a time that predictions have bridged are dropped, or it would count twice.
         """
         last = _joined_to_before(self.course, predicted, measured)
         late = measured.stamp_ns <= last.counted_until(last.end)
@@ -497,11 +497,11 @@ class EnergyMeter(Saveable[SavedMeter]):
 
     @property
     def state(self) -> EnergyState:
-        """What was counted up to the newest stamp."""
+        """The state at the newest stamp."""
         return next(self.course.states(self.course.end).rows())
 
     def saved(self) -> SavedMeter:
-        """State to save, the present dropout counted in it."""
+        """State to save, with the present dropout."""
         course, end = self.course, self.course.end
         now = course.until_now(end)[0][0].tolist()
         return SavedMeter(
@@ -528,7 +528,7 @@ def _newest(last_ns: np.ndarray, stamps: np.ndarray) -> np.ndarray:
 def _joined_to_before(
     course: MeterCourse, predicted: PowerRows, measured: PowerRows
 ) -> MeterCourse:
-    """The course before a block, without what was saved too long before its first stamp."""
+    """The course before a block, cut off if saved too long before its first stamp."""
     firsts = np.concatenate((predicted.stamp_ns[:1], measured.stamp_ns[:1]))
     begun = course.heard[-1] or course.first_ns[-1] or not course.since_ns[-1]
     if begun or not len(firsts):
@@ -566,7 +566,7 @@ def _at(stamps: np.ndarray, series_ns: np.ndarray, series: np.ndarray) -> np.nda
 
 
 def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCourse:
-    """The course with the dropouts that measurements ended at these places and stamps."""
+    """The course with dropouts ended by the measurements at these places and stamps."""
     if not len(stamps):
         return course
     seconds = course.silent_s(at, stamps)

@@ -16,7 +16,7 @@ from evpinn_ros.common.arrays import like, namespace, sums_at, whole, within, ze
 from evpinn_ros.core.estimation.network import FORCE_SCALE, SPEED_CENTRE, SPEED_SCALE, Network
 from evpinn_ros.core.estimation.terms import Wheels
 
-BLOCK = 1024  # steps of which the units of the network are computed together, in the cache
+BLOCK = 1024  # steps whose units are computed together, which fit into the cache
 # Nodes of the table, m/s and m/s^2.
 GRID_SPEED, GRID_FORCE = np.arange(0.0, 101.0, 1.0), np.linspace(-4.0, 4.0, 33)
 SPEEDS, FORCES = len(GRID_SPEED), len(GRID_FORCE)
@@ -33,8 +33,8 @@ def table_of(network: Network) -> np.ndarray:
 def units_of(network: Network, wheels: Wheels) -> Iterator[tuple[slice, np.ndarray]]:
     """Units of the network in n steps, a block at a time: which steps, and shape (UNITS, block).
 
-    As `Network.force` has them, in single precision, which takes a third of the time: a unit is
-    off by 1e-6 at most, and the energy of the network by some 1e-7 of it.
+    As in `Network.force`, but in single precision, which takes a third of the time: the error of a
+    unit is 1e-6 at most, that of the network's energy some 1e-7 of it.
     """
     slopes = network.inner / (SPEED_SCALE, FORCE_SCALE)
     weights = np.column_stack((slopes, network.bias - SPEED_CENTRE * slopes[:, 0]))
@@ -84,7 +84,7 @@ def places_of(wheels: Wheels) -> Places:
 
 
 def looked_up(wheels: Wheels, distance: Any, table: np.ndarray) -> Any:
-    """Energy of the network before its share of the terms is taken away, (batch, NETWORK).
+    """Energy of the network before the share of the terms is subtracted, (batch, NETWORK).
 
     Steps are spread over the four nodes around them by weights, so a trip is one row of weights:
     over that part of the grid where any of them drives.

@@ -21,16 +21,16 @@ from evpinn_ros.core.energy.plan import (
     sums,
 )
 
-MAX_LEG = 10e3  # m between two points without stamps: farther is a teleport
+MAX_LEG = 10e3  # m between two points without stamps; more is refused
 NOMINAL_SPEED = 50 / 3.6  # m/s, where a path has no usable stamps
 COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as well
 COMFORT_LATERAL = 2.0  # m/s^2, what drivers take in a bend without hurry
 SLOWEST = 1.0  # m/s through the sharpest bend
 BEND = 10.0  # m before and after a point, over which the bend of the path is taken
-# Most m, and s, between points of a nominal profile, where the path has fewer.
+# Longest steps of a nominal profile, m and s; points are added to a sparser path.
 NOMINAL_STEP, NOMINAL_SECONDS = 25.0, 2.0
 TINY = 1e-6  # m^2/s^2
-ON_A_LINE = 1e-6  # m that rounding takes a point from the line between its neighbours
+ON_A_LINE = 1e-6  # m from the line between its neighbours; less is rounding
 
 
 def plan_from_path(
@@ -56,13 +56,13 @@ def plan_from_path(
         nominal_speed: m/s.
 
     Raises:
-        PlanError: the points are no trip.
+        PlanError: the points are not a trip.
     """
     check_size(len(x))
     points = {"x": as_floats(x), "y": as_floats(y), "z": as_floats(z)}
     time = None if stamps is None else as_floats(stamps)
     check_arrays(points if time is None else points | {"stamps": time})
-    with np.errstate(over="ignore"):  # an infinite leg is too long as well
+    with np.errstate(over="ignore"):  # an infinite leg is refused as too long
         legs = np.sqrt(sum(np.diff(points[axis]) ** 2 for axis in "xyz"))
     if time is not None and np.ptp(time) == 0:
         time = None
@@ -73,7 +73,7 @@ def plan_from_path(
         return _nominal_plan(distance, points, nominal_speed)
     duration = np.diff(time)
     refuse(duration < 0, "time goes back", after=1)
-    # A point given twice is one; so is one that is apart by less than rounding of the distance.
+    # Equal points are one; so are points closer than the rounding of the distance.
     kept = np.concatenate(([True], (duration > 0) | (np.diff(distance) > 0)))
     time, distance, elevation = time[kept] - time[0], distance[kept], points["z"][kept]
     too_fast = np.diff(distance) > MAX_SPEED * np.diff(time)
@@ -151,14 +151,14 @@ def _nominal_plan(
     steps = np.linspace(0.0, length, 2 + min(int(length / step), MAX_POINTS))
     bends = distance[~_is_between(distance, *points.values())]
     s = np.concatenate((bends, steps, [ramp, length - ramp]))
-    s = np.unique(s.round(6))  # no leg is as short as rounding
+    s = np.unique(s.round(6))  # no leg is shorter than rounding
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2
     squared[[0, -1]] = 0.0
-    # As fast as braking for what comes, and accelerating from what was, allow.
+    # As fast as braking for later limits and accelerating from earlier ones allow.
     gained = 2 * COMFORT_ACCELERATION * s
     squared = np.minimum.accumulate(squared - gained) + gained
     squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
-    squared[1:-1] = np.maximum(squared[1:-1], TINY)  # rounding of a long way
+    squared[1:-1] = np.maximum(squared[1:-1], TINY)  # against rounding on long paths
     every = np.unique(np.concatenate((s, distance.round(6).clip(0.0, s[-1]))))
     s, squared = every, np.interp(every, s, squared)
     speed = np.sqrt(np.maximum(squared, 0.0))
@@ -178,7 +178,7 @@ def _bend_speed(s: np.ndarray, distance: np.ndarray, points: dict[str, np.ndarra
     first, second, across = here - before, after - here, after - before
     product = np.prod([np.hypot(*side.T) for side in (first, second, across)], axis=0)
     doubled = 2 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-    back = (first * second).sum(axis=-1) < 0  # it turns back: no circle is small enough
+    back = (first * second).sum(axis=-1) < 0  # the path turns back: no circle is small enough
     inside = (s >= BEND) & (s <= distance[-1] - BEND)
     curvature = np.where(inside, doubled / np.maximum(product, 1e-9), 0.0)
     speed = np.sqrt(COMFORT_LATERAL / np.maximum(curvature, 1e-9))

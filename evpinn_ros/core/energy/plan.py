@@ -1,8 +1,7 @@
 """Plan of a planner: points along one trip or many, or legs of a trip, and its conditions.
 
-Between two points distance is the cubic that has the given speeds at its ends, so that legs agree
-with their length, their climb and their speeds at once. Of a leg no more than its length and its
-duration is known.
+Between two points, distance is the cubic with the given speeds at its ends, so that it agrees with
+length, climb and speeds at once. Of a leg only length and duration are known.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.charge import FIRST_STEP, Uncertain
 from evpinn_ros.core.signals.readings import MAX_WIND
 
-MAX_SPEED = 100.0  # m/s: faster is a teleport
+MAX_SPEED = 100.0  # m/s; a faster plan is refused
 MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m
-LONGEST = 14 * 86_400.0  # s from the first point to the last: more is not one trip
+LONGEST = 14 * 86_400.0  # s from the first point to the last; more is not one trip
 UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
-LEAST_LENGTH = 50.0  # m of a profile from which that can be seen
-SLOWEST_TRIP = 0.1  # m/s while it moves: no jam is slower, but lengths in km are
-CLIMB_TOLERANCE = 1e-6  # m: rounding of climb against length
+LEAST_LENGTH = 50.0  # m of a profile from which on that is checked
+SLOWEST_TRIP = 0.1  # m/s while moving; slower plans have their lengths in km
+CLIMB_TOLERANCE = 1e-6  # m, by which rounding may make a climb exceed its length
 CONDITION_RANGES = {
     "temperature": (-60.0, 60.0),  # degrees Celsius
     "heating": (0.0, 20e3),  # W, more than the heaters of any car
@@ -51,8 +50,8 @@ class Plan:
         distance: same shape, m along the road, never falling.
         speed: same shape, m/s, 0 to `MAX_SPEED`.
         elevation: same shape, m.
-        commanded: True where a controller follows it, so that speed is a straight line between
-            two points however far apart; else what drivers do between them is expected.
+        commanded: True if a controller follows the plan, so that speed is a straight line between
+            any two points; otherwise uneven speed between them is expected.
 
     Raises:
         PlanError: the arrays are no trip.
@@ -78,7 +77,7 @@ class Plan:
         refuse(climbs, "climbs more than it travels", after=1)
 
     def quicker(self, factor: float) -> Plan:
-        """Plan along this road with all speeds times a factor; it stands as long as before.
+        """Plan along this road with all speeds times a factor; stops last as long.
 
         Raises:
             PlanError: that is too fast.
@@ -145,13 +144,13 @@ class PlanConditions:
         head_wind: against the car all the way, m/s over ground; negative from behind.
         payload: people and luggage, kg.
         charge: state of charge at the start, 0..1.
-        stood: for how long the car stands before it, s: tyres and cabin cool meanwhile.
+        stood: time that the car stands before the trip, s, in which tyres and cabin cool.
         prewarmed: share of the cabin's warmth that the charger gave before the start.
         steady: 1 to take its speeds as commanded, 0 as expected (`Plan.commanded`); None: as the
             plan is.
 
     Raises:
-        PlanError: a number that no trip has.
+        PlanError: a number is impossible.
     """
 
     temperature: float | None = None
@@ -177,14 +176,14 @@ class PlanConditions:
         return tuple(name for name in CONDITION_RANGES if getattr(self, name) is not None)
 
     def or_else(self, others: PlanConditions) -> PlanConditions:
-        """These, and those of others that are not given here."""
+        """These conditions, completed by others."""
         return replace(others, **{name: getattr(self, name) for name in self.given})
 
     def charge_from(self, measured: Uncertain) -> Uncertain:
         """State of charge at the start, 0..1: as given, else measured."""
         if self.charge is None:
             return measured
-        return Uncertain(self.charge, FIRST_STEP / math.sqrt(12.0))  # as a display rounds
+        return Uncertain(self.charge, FIRST_STEP / math.sqrt(12.0))  # rounded as on a display
 
 
 UNSAID = PlanConditions()
@@ -195,9 +194,9 @@ class Question(NamedTuple):
 
     Attributes:
         name: of the plan.
-        together: what it has in common with those asked together with it, or None.
-        conditions: of this plan; what they leave out is as all plans have it.
-        along: whether sigma is wanted at each of its points, and not at the last alone.
+        together: key of the plans that are asked together, or None.
+        conditions: of this plan, completed by those of all plans.
+        along: whether to compute sigma at each of its points, not only at the last.
     """
 
     name: str
@@ -217,7 +216,7 @@ def plan_from_speed_profile(
 ) -> Plan:
     """A plan from a speed profile: time, s, distance, m, and speed, m/s, each of shape (n,).
 
-    Without distance it is as the speeds make it; without elevation, m, the road is flat. Time and
+    Without distance it follows from the speeds; without elevation, m, the road is flat. Time and
     distance are counted from the first point.
 
     Raises:
@@ -250,9 +249,9 @@ def sums(steps: np.ndarray) -> np.ndarray:
 
 
 def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:
-    """Legs that need not follow one another: arrays of shape (n,), m and s.
+    """Legs that need not be consecutive: arrays of shape (n,), m and s.
 
-    NaN in `climb` stands for a height that is not known.
+    NaN in `climb` is an unknown height.
 
     Raises:
         PlanError: the arrays are no legs.
@@ -269,7 +268,7 @@ def legs_of_trip(
     """The legs of one trip, in order, from what `legs_of` takes.
 
     Raises:
-        PlanError: the legs are no trip, or so slow that their lengths are in km.
+        PlanError: the legs are not a trip, or so slow that their lengths are in km.
     """
     check_size(np.size(length))
     legs = legs_of(length, duration, climb)
@@ -316,9 +315,9 @@ def check_arrays(named: dict[str, np.ndarray]) -> None:
 
 
 def refuse(wrong: np.ndarray, reason: str, what: str = "point", *, after: int = 0) -> None:
-    """Refuse a plan where anything is wrong, and name the first place, counted from 1.
+    """Refuse a plan if any element is wrong; the error names the first place, counted from 1.
 
-    `after`: 1 for what is wrong between a point and the next, which is named.
+    `after`: 1 if the elements are between points; then the second of both is named.
     """
     if wrong.any():
         *trip, place = (1 + np.argwhere(wrong)[0]).tolist()

@@ -1,7 +1,7 @@
-"""Bounds of what a car can do, for what is counted and for totals that a file claims.
+"""Bounds of what a car can do, for counted energies and for totals in a file.
 
-Whatever passes them may still be wrong; but one reading then adds at most what a car could have
-done in the time that it stands for, and no sum leaves the range of numbers.
+Values within the bounds may still be wrong, but one reading adds at most what a car could have
+done in its time, and no sum overflows.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from evpinn_ros.core.signals.admission import MAX_POWER
 # Lifetimes. The farthest-driven car known, a Volvo P1800, has 5.2e9 m; a lorry takes 7 kJ/m.
 MOST_DISTANCE = 1e10  # m
 MOST_ENERGY = 1e14  # J
-MOST_SECONDS = 1e15  # s; a stamp that leaps may claim decades of dropout, so hardly a bound
+MOST_SECONDS = 1e15  # s; large, because a leaping stamp may give decades of dropout
 # Of a file, in these units.
 Joules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY)]
 Sigma: TypeAlias = Annotated[float, Range(0.0, MOST_ENERGY, unknown=True)]
 Metres: TypeAlias = Annotated[float, Range(0.0, MOST_DISTANCE)]
 Seconds: TypeAlias = Annotated[float, Range(-MOST_SECONDS, MOST_SECONDS)]
-ROUNDING = 1.0 + 1e-6  # of sums
+ROUNDING = 1.0 + 1e-6  # tolerance of sums
 MOST_MASS = 1e6  # kg over eta, of a train
 
 
 def car_is_possible(car: CarModel) -> bool:
-    """True if a given car is plausible, so that no sum of its powers leaves all bounds.
+    """True if a given car is plausible, so that sums of its powers stay bounded.
 
-    Judged by a fast ride and by a stand in the cold: neither mean nor 1-sigma is beyond
-    `MAX_POWER`; and no mass is.
+    Judged by a fast drive and by standing in the cold: mean and 1-sigma are at most `MAX_POWER`,
+    and the mass at most `MOST_MASS`.
     """
     if not is_within(car) or not 0.0 < car.mean[State.MASS_OVER_ETA] <= MOST_MASS:
         return False

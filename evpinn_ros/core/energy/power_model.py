@@ -1,7 +1,8 @@
-"""A car as plans take it: the one equation (`estimation.terms`) over steps of a plan.
+"""The car for plans: the one equation (`estimation.terms`) over steps of a plan.
 
-A plan is a row of steps, and its energy is the same terms times the same states that learned from
-intervals of driving. So the forecast of a driven speed is the replay of it without its battery.
+A plan is a series of steps, and its energy is the same terms times the same states that are
+learned from intervals of driving. So the forecast of a driven speed equals its replay without the
+battery.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
-CLIMATE_SHARE = 0.4  # 1-sigma of the heating or cooling of a drive over what is likely (e-208)
-CLIMATE_SHOWN = 300.0  # s of a drive within which a third of that is left
-LEAST_TRUST = 1e-3  # lower is none that was learned
+CLIMATE_SHARE = 0.4  # relative 1-sigma of the likely heating or cooling of a drive (e-208)
+CLIMATE_SHOWN = 300.0  # s of a drive after which a third of that is left
+LEAST_TRUST = 1e-3  # least factor that can be learned
 
 
 class Weather(NamedTuple):
@@ -52,8 +53,8 @@ class Weather(NamedTuple):
     Attributes:
         air_density: kg/m^3.
         celsius: temperature outside; None: the last that the car knew.
-        heating: power of heating and air conditioning, W; None: what the temperature makes
-            likely, and of this drive so far.
+        heating: power of heating and air conditioning, W; None: by the temperature and by this
+            drive so far.
         start: coldness of tyres and cabin when the plan begins. None: as the car is now.
     """
 
@@ -106,7 +107,7 @@ class PowerModel:
     def edge_rows(
         self, edges: Steps, weather: Weather, *, steady: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Energy of edges at even speed, which are of no trip, J per unit, shape (n, SIZE) each.
+        """Energy of edges at even speed, which belong to no trip, J per unit, (n, SIZE) each.
 
         It is proportional to their length. Edges of one speed and slope add up.
 
@@ -116,10 +117,10 @@ class PowerModel:
             steady: True if they are driven evenly.
 
         Returns:
-            The whole, and the part of it that is expected of uneven speed, by their speeds.
+            The whole, and the part of it that is due to uneven speed.
         """
         duration, length = edges.duration, edges.distance
-        # As an edge of a metre, or of a second: what is shorter has no force of its own.
+        # As an edge of at least a metre or a second: shorter ones have no force of their own.
         size = np.where(length > CREEPING * duration, length, duration)
         metre = Steps._make((*(column / size for column in edges[:5]), *edges[5:]))
         rows = self.rows(metre, weather._replace(start=WARM)) * size[:, None]
@@ -135,7 +136,7 @@ class PowerModel:
     def rows_along(self, steps: Steps, weather: Weather) -> np.ndarray:
         """Rows summed up to the end of each step, shape (..., n, SIZE).
 
-        They lie state by state in memory: so sums and products are several times as quick.
+        In memory they are ordered by state, which makes sums and products several times faster.
         """
         equation, network = self.car.equation, self.car.equation.network
         wheels, columns = self._columns(steps, weather)
@@ -153,7 +154,7 @@ class PowerModel:
     def whole_row(self, steps: Steps, weather: Weather) -> tuple[np.ndarray, np.ndarray]:
         """Row of all n steps of one trip, shape (SIZE,), and the energy of each, J, shape (n,).
 
-        In these energies there is no load that wanders, which fades along the way.
+        These energies leave out the wandering load, which fades along the way.
         """
         equation, network = self.car.equation, self.car.equation.network
         wheels, columns = self._columns(steps, weather)
@@ -172,7 +173,7 @@ class PowerModel:
         return row, energy
 
     def summed_rows(self, steps: Steps, weather: Weather) -> Any:
-        """Rows of whole trips, shape (batch, SIZE); the network by a table, for it is many."""
+        """Rows of many whole trips, shape (batch, SIZE); the network by a table."""
         wheels, columns = self._columns(steps, weather)
         rows = zeros((len(steps.distance), SIZE), steps.distance)
         for state, column in columns.items():
@@ -200,7 +201,7 @@ class PowerModel:
         variance = xp.einsum("i...,i...->...", xp.tensordot(covariance, states, 1), states)
         variance = variance + car.load_variance * rest + noise
         variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
-        variance = variance + (car.unevenness.share * uneven) ** 2  # which is judged by itself
+        variance = variance + (car.unevenness.share * uneven) ** 2  # has a scale of its own
         return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
 
     def noise(self, elapsed: Any, stood: Any, square: Any) -> Any:
@@ -211,8 +212,8 @@ class PowerModel:
     def difference(self, end: PlanEnd, other: PlanEnd) -> Uncertain:
         """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
 
-        Both begin at one moment, with one car: what they share cancels. Of one length they are
-        taken to lead along one road.
+        Both begin at the same moment with the same car, so common errors cancel. Plans of equal
+        length are assumed to follow the same road.
         """
         car, row = self.car, end.row - other.row
         _, integral, _ = wandered(np.array([end.elapsed, other.elapsed]))
@@ -231,7 +232,7 @@ class PowerModel:
     def density(self, celsius: float | None = None, pascal: float | None = None) -> float:
         """Density of the air, kg/m^3, at a temperature, degrees Celsius, and a pressure, Pa.
 
-        None: the temperature that the car knew last, and the pressure of the vehicle file.
+        None: the last temperature known to the car, and the pressure of the vehicle file.
         """
         celsius = self.car.celsius if celsius is None else celsius
         outside = (math.nan if value is None else value for value in (celsius, pascal))
@@ -241,8 +242,8 @@ class PowerModel:
         """Coldness at the start of a trip.
 
         Args:
-            stood: s that the car stands before it; None: as the car is now, at the start of a
-                drive cold. Of a last drive that is not known the car was warm.
+            stood: s that the car stands before it; None: as now, and cold at the start of a
+                drive. If the last drive is unknown, the car was warm after it.
             prewarmed: share of the cabin's warmth that the charger gave.
         """
         warmth = Warmth.after(self.car.seconds)
@@ -251,15 +252,15 @@ class PowerModel:
         return warmth._replace(cabin=warmth.cabin * (1.0 - prewarmed))
 
     def with_payload(self, payload: float) -> PowerModel:
-        """The car with so many kg more than it has; its tyres carry them too."""
+        """The car with an additional payload, kg, which its tyres carry too."""
         return _loaded(self, payload) if payload else self
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance of the states, shape (SIZE, SIZE), with heating that strays from the usual.
+        """Covariance of the states, shape (SIZE, SIZE), with that of heating of single drives.
 
-        Before a drive it is unknown how much of what its temperature makes likely will be on; the
-        loads of its first minutes show it.
+        How much of the likely heating is switched on is unknown before a drive; the loads of its
+        first minutes show it.
         """
         car, strays = self.car, np.zeros(SIZE)
         share = CLIMATE_SHARE * math.exp(-car.seconds / CLIMATE_SHOWN)
@@ -274,7 +275,7 @@ class PowerModel:
     def _columns(self, steps: Steps, weather: Weather) -> tuple[Wheels, dict[State, Any]]:
         """Wheels of steps, and their energy by state but for the network, J per unit.
 
-        What the terms of eq. 21 explain of the others is not taken away yet.
+        The share that the terms of eq. 21 explain of the others is still in them.
         """
         equation, duration = self.car.equation, steps.duration
         conditions, warmth = self._surroundings(steps, weather)
@@ -284,7 +285,7 @@ class PowerModel:
         return wheels, moving | {state: power * duration for state, power in loads.items()}
 
     def _conditions(self, weather: Weather) -> Conditions:
-        """Conditions as the equation has them: heating that is given is like one reported."""
+        """Conditions for the equation: given heating counts like a reported one."""
         celsius = self.car.celsius if weather.celsius is None else weather.celsius
         given = weather.heating is not None
         return Conditions(weather.air_density, 0.0, celsius, weather.heating or 0.0, given)
@@ -301,7 +302,7 @@ def even_steps(duration: Any, distance: Any, climb: Any, wind: float = 0.0) -> S
     return Steps(duration, distance, flow * abs(flow) * distance, 0.0 * duration, climb)
 
 
-@lru_cache(maxsize=4)  # one object as long as neither changes: plans are compared by it
+@lru_cache(maxsize=4)  # one object while neither changes, because plans are compared by identity
 def _loaded(model: PowerModel, payload: float) -> PowerModel:
     car = model.car
     mean, eta = car.mean.copy(), car.equation.eta + car.mean[State.ETA]
@@ -318,12 +319,12 @@ def vehicle_model(vehicle: Vehicle) -> PowerModel:
 
 
 def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:
-    """The car that the identifiable combinations make, errors of these taken as independent.
+    """The car of identifiable combinations, whose errors are taken as independent.
 
     Args:
         combined: floats.
         sigmas: their 1-sigma.
-        vehicle: for everything that they do not hold.
+        vehicle: for everything else.
     """
     car = vehicle_model(vehicle).car
     mass, area, c_rr, regeneration, p_aux = combined
@@ -339,7 +340,7 @@ def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicl
         sigmas.p_aux,
     )
     covariance[index, index] = np.square(std)
-    # What is not known of the mass is not known of its rolling either.
+    # The uncertainty of the mass is also that of its rolling resistance.
     both = [State.ROLLING, State.MASS_OVER_ETA], [State.MASS_OVER_ETA, State.ROLLING]
     covariance[both] = c_rr * np.square(sigmas.mass_over_eta)
     return PowerModel(replace(car, mean=mean, covariance=covariance))

@@ -2,7 +2,7 @@
 
 dE/dt = P does not depend on E, so the classical Runge-Kutta step of the paper is a quadrature
 rule; between samples nothing but the samples is known, and the trapezoid is exact for power that
-is linear in between. What cannot be integrated is counted, never guessed.
+is linear in between. Gaps are counted, never filled.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_GAP = 2.0  # s
 NONE = np.empty(0)
 NO_STAMP = np.iinfo(np.int64).min
 NO_STEP = np.zeros(1, dtype=bool)
-MOST_COUNTED = 1e15  # of any saved value: sums of two stay numbers
+MOST_COUNTED = 1e15  # of any saved value, so that sums stay finite
 Amount: TypeAlias = Annotated[float, Range(0.0, MOST_COUNTED)]
 Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
 
@@ -36,7 +36,7 @@ def joined(steps: np.ndarray, max_gap: float, before: np.ndarray = NONE) -> np.n
 
     Args:
         steps: positive, in order.
-        max_gap: longest step that is integrated, s; of slow samples some of their own steps.
+        max_gap: longest step that is integrated, s; for slow samples some of their usual steps.
         before: steps that went before.
     """
     mask: np.ndarray = steps <= max_gap
@@ -51,7 +51,7 @@ def joined(steps: np.ndarray, max_gap: float, before: np.ndarray = NONE) -> np.n
 
 
 def counted(flags: np.ndarray) -> np.ndarray:
-    """How many are true before each of n flags and after the last, shape (n + 1,)."""
+    """Number of true flags before each of n and after the last, shape (n + 1,)."""
     counts = np.zeros(len(flags) + 1, np.int64)
     flags.cumsum(out=counts[1:])
     return counts
@@ -79,8 +79,8 @@ def split(steps: np.ndarray, begin: np.ndarray, end: np.ndarray) -> tuple[np.nda
 class SavedIntegral:
     """Totals and counters of an `EnergyIntegral`.
 
-    The last sample is not among them, so that one restored the next morning does not count the
-    night as a gap.
+    The last sample is not saved, so that an integral restored the next morning does not count
+    the night as a gap.
     """
 
     drawn: Amount = 0.0
@@ -92,7 +92,7 @@ class SavedIntegral:
     not_finite: Count = 0
 
     def refuse_above(self, most: float) -> None:
-        """ValueError when it is more than a power of `most`, W, all the time would have made."""
+        """ValueError if it is more than a constant power of `most`, W, would have given."""
         if self.drawn + self.regenerated > most * self.covered_s * ROUNDING:
             raise ValueError(f"more than {most:g} all the time was integrated")
 
@@ -101,7 +101,7 @@ NOTHING = SavedIntegral()
 
 
 class IntegralCourse(NamedTuple):
-    """What an integral counts of a block of n samples, of which it uses m.
+    """Course of an integral along a block of n samples, of which it uses m.
 
     Attributes:
         used: how many of the block are used before each sample and after the last, shape (n + 1,).
@@ -132,7 +132,7 @@ class IntegralCourse(NamedTuple):
     recent: np.ndarray
 
     def longest(self, used: int) -> float:
-        """Longest step, s, that is integrated beyond `MAX_GAP` once so many are used."""
+        """Longest integrated step, s, after a number of used samples, if over `MAX_GAP`."""
         last = len(self.recent) - len(self.steps) + used
         recent = np.sort(self.recent[max(0, last - RATE_READINGS) : last])
         return GAP_STEPS * float(recent[len(recent) // 2]) if len(recent) else 0.0

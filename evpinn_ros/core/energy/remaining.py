@@ -1,21 +1,21 @@
 """Distance to empty with the energy in the battery.
 
-What the next metres cost is mostly what the learned car's usual legs of a minute do, as its
-earlier drives had them, at the temperature and with the loads of now (`usual_cost`): a cold
-morning or a roof box counts before its kilometres are driven. Over
-`MEMORY` that returns to the mean of the last 100 km. So the energy of the next d metres is
+The consumption of the next metres is mostly that of the learned car on its usual legs of a minute,
+at the present temperature and loads (`usual_cost`): a cold morning or a roof box counts before its
+kilometres are driven. Over `MEMORY` it returns to the mean of the last 100 km. So the energy of
+the next d metres is
 
     E(d) = c_long d + (c_near - c_long) L (1 - exp(-d / L)),    L = MEMORY
 
-and the distance to empty is where it is the energy left. The error of the cost is taken as a
-process over distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
-(`energy.uncertainty`, metres for seconds); the band is where E, 1.645 sigma of it and of the
-energy left up or down, meets the energy left.
+and at the distance to empty it equals the energy left. The error of the cost is a process over
+distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
+(`energy.uncertainty`, metres for seconds). The band ends where E, shifted by 1.645 sigma of it and
+of the energy left, equals the energy left.
 
-While the car follows a route whose energy was forecast, the road ahead is the rest of that route,
-and the E above begins at its end: what a route costs counts for that route alone. A car that has
-not driven 10 km yet expects its usual legs beyond it; while it knows none, as on its first
-kilometres, the mean of a route of 10 km. The horizon of a controller is no route (`SHORTEST`).
+While the car follows a forecast route, the road ahead is the rest of that route, and the E above
+begins at its end: the consumption of a route counts for that route alone. Before 10 km are driven,
+the usual legs are expected beyond it; if none are known, as on the first kilometres, the mean of a
+route of 10 km or more. The horizon of a controller is no route (`SHORTEST`).
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from evpinn_ros.core.estimation.unevenness import MIDDLES, USUAL_LEG
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MEMORY = 10e3  # m
-# Share of the usual legs in the next metres, beside the long run, chosen on the e-208, the Leaf
-# and the Changchun sedan; where none are known, that of the last 10 km.
+# Weight of the usual legs against the long run, chosen on the e-208, the Leaf and the Changchun
+# sedan; if no usual legs are known, that of the last 10 km.
 USUAL, RECENT = 0.75, 0.5
-LEAST_METRES = 3000.0  # driven in legs of this, before anything is usual
-FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # relative 1-sigma of pieces, and what it weighs
-FARTHEST = 2.0**21  # m; what is beyond is no answer
+LEAST_METRES = 3000.0  # driven in such legs, from which on they are usual
+FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # prior relative 1-sigma of pieces; its weight
+FARTHEST = 2.0**21  # m; a longer distance is no answer
 HALVINGS = 21  # down to a metre
 QUANTILE = 1.6449  # of 90 %
-SHORTEST = 2e3  # m of a route; a controller plans some seconds, and those metres change no range
-GIVEN_UP = 2.0  # times its planned duration after which a route that was not driven is given up
+SHORTEST = 2e3  # m of a route; the horizon of a controller is shorter, and changes no range
+GIVEN_UP = 2.0  # times its planned duration, after which an unfinished route is given up
 MOST_POINTS = 1000  # of a route, which is saved each minute: of 300 km one each 300 m
 Stamp: TypeAlias = Annotated[int, Range(0, sys.maxsize)]  # ns
 
@@ -79,7 +79,7 @@ class Cost(NamedTuple):
 
     @classmethod
     def ahead(cls, recent: float, long: float, usual: float, spread: float) -> Cost:
-        """Cost of the road ahead by what is known.
+        """Cost of the road ahead.
 
         Args:
             recent: of the last 10 km, J/m.
@@ -100,7 +100,7 @@ class Cost(NamedTuple):
         return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
 
 
-@lru_cache(maxsize=4)  # asked with every prediction, and learned every ten seconds
+@lru_cache(maxsize=4)  # called at every prediction, changes every ten seconds
 def usual_cost(car: CarModel) -> float:
     """Energy per distance of a car's usual mix of legs, J/m; NaN while no mix is known."""
     metres = car.unevenness.metres
@@ -115,7 +115,7 @@ def usual_cost(car: CarModel) -> float:
 
 @dataclass(slots=True, eq=False)
 class Route:
-    """A route that the car follows, as the forecast of its plan has it; it outlives a restart.
+    """A route that the car follows, with the forecast of its plan; it survives a restart.
 
     Attributes:
         distance: of its points from the first, m, never falling, n of them.
@@ -123,7 +123,7 @@ class Route:
         sigma: 1-sigma of that, J.
         begin: the odometer at its first point, m.
         begin_ns: stamp there; 0 until the first one is known.
-        longest_ns: time from there after which it is given up.
+        longest_ns: time since then after which it is given up.
 
     Raises:
         ValueError: these are no points along a route.
@@ -160,7 +160,7 @@ class Route:
         return self.energy[-1] / self.distance[-1]
 
     def see(self, stamp_ns: int) -> None:
-        """Take the first stamp that is known as that of its first point."""
+        """Take the first known stamp as that of its first point."""
         self.begin_ns = self.begin_ns or stamp_ns
 
     def left(self, odometer: float, stamp_ns: int) -> float:
@@ -178,7 +178,7 @@ class Route:
         distance = np.concatenate(([0.0], along[rest] - driven))
         here = float(np.interp(driven, along, energy))
         energies = np.concatenate(([0.0], energy[rest] - here))
-        # So many metres to come are as unsure as so many from the start were.
+        # The metres to come are as uncertain as the same number from the start.
         return RouteAhead(distance, energies, np.interp(distance, along, sigma), beyond)
 
 
@@ -203,7 +203,7 @@ class RouteAhead(NamedTuple):
         return self.beyond.known
 
     def energy(self, distance: float) -> float:
-        """Energy that the battery must give within these metres, J: most of it on a pass."""
+        """Energy that the battery must give within these metres, J: the maximum, as on a pass."""
         most = np.maximum.accumulate(self.energies)
         after = distance - float(self.distance[-1])
         if after <= 0.0:
@@ -220,7 +220,7 @@ class RouteAhead(NamedTuple):
 def cost_spread(pieces: Sequence[Stretch]) -> float:
     """Relative 1-sigma of the cost of pieces of road around their mean.
 
-    What was seen is averaged with a prior of 25 % that weighs as five pieces.
+    The observed spread is averaged with a prior of 25 % that weighs as five pieces.
     """
     variance = FIRST_SPREAD_PIECES * FIRST_SPREAD**2
     mean = sum(piece.energy for piece in pieces) / max(sum(p.distance for p in pieces), 1.0)
@@ -246,7 +246,7 @@ def remaining(usable: Uncertain, ahead: Cost | RouteAhead) -> Remaining | None:
 
         return energy
 
-    # The sooner it crosses zero the earlier the car stands: upwards for each of the three.
+    # The battery is empty where each of these three functions first rises above zero.
     distances = [_first_zero(over(quantile)) for quantile in (QUANTILE, 0.0, -QUANTILE)]
     lower, distance, upper = distances
     if lower is None or distance is None or upper is None:

@@ -110,7 +110,7 @@ class Rknn:
         Args:
             power: P(t), W, a float or shape (n,) as all.
             power_next: P(t + dt), W.
-            dt: s; beyond `STEP_LIMIT`, as beyond `POWER_LIMIT`, Simpson's rule stands in.
+            dt: s; beyond `STEP_LIMIT` or `POWER_LIMIT`, Simpson's rule is used.
             power_mid: P(t + dt/2), W; None for the mean of both ends.
         """
         middle = (power + power_next) / 2 if power_mid is None else power_mid

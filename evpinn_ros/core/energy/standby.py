@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from evpinn_ros.core.signals.readings import BatteryReading, sensor_sigma
 
-AWAY = 2.0  # s of the monotonic clock without a word of the estimator
+AWAY = 2.0  # s of the monotonic clock without a message of the estimator
 MOST_WAITING = 10_000  # readings
 
 
@@ -22,14 +22,14 @@ class MeasuredPower(NamedTuple):
 
 
 class Standby:
-    """Keeps readings of the battery that the estimator may never have heard."""
+    """Keeps battery readings that the estimator may have missed."""
 
     def __init__(self, now: float) -> None:
-        """Begin as if the estimator had just spoken; now: s of the monotonic clock."""
+        """Begin as if the estimator had just sent a message; now: s of the monotonic clock."""
         self._heard, self._waiting = now, deque[BatteryReading](maxlen=MOST_WAITING)
 
     def hear(self, stamp_ns: int, now: float) -> list[MeasuredPower]:
-        """Take a stamp of the estimator; give what it missed before that while it was away."""
+        """Take a stamp of the estimator; returns the readings that it missed while away."""
         away, self._heard = now - self._heard > AWAY, now
         missed: list[BatteryReading] = []
         if away:
@@ -39,7 +39,7 @@ class Standby:
         return [*_powers(missed)]
 
     def take(self, reading: BatteryReading, now: float) -> list[MeasuredPower]:
-        """Take a reading; give all that wait while the estimator is away."""
+        """Take a reading; returns all waiting ones while the estimator is away."""
         self._waiting.append(reading)
         if now - self._heard <= AWAY:
             return []

@@ -1,4 +1,4 @@
-"""Distance, and what a kilometre costs: over the last 1, 10 and 100 km."""
+"""Distance and consumption over the last 1, 10 and 100 km."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ NOTHING = Stretch(0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SavedTrip:
-    """Distance and energy of a trip, and of each window all buckets, the one being filled last."""
+    """Distance and energy of a trip, and the buckets of each window, the unfinished one last."""
 
     speed: SavedIntegral
     energy: Joules
     windows: tuple[tuple[Stretch, ...], ...]
 
     def __post_init__(self) -> None:
-        """Refuse what no car drove."""
+        """Refuse impossible distances and energies."""
         self.speed.refuse_above(MAX_SPEED)
         if len(self.windows) != len(WINDOWS):
             raise ValueError("windows are missing")
@@ -51,12 +51,12 @@ class SavedTrip:
 class DistanceWindow:
     """Energy over the last so many metres, in a bounded number of buckets.
 
-    It holds whole buckets of a 20th of its length and the one being filled. So it spans up to a
-    20th more than its length, and energy over distance is exact for what it spans.
+    It holds whole buckets of a 20th of its length and an unfinished one. So it spans up to a 20th
+    more than its length, and energy over distance is exact for its span.
     """
 
     def __init__(self, length: float, buckets: tuple[Stretch, ...] = (NOTHING,)) -> None:
-        """A window of this length, m, empty or with buckets, the one being filled last."""
+        """A window of this length, m, empty or with buckets, the unfinished one last."""
         self.length, self.buckets = length, buckets
 
     @property
@@ -96,7 +96,7 @@ class DistanceWindow:
 class TripLog(Saveable[SavedTrip]):
     """Joins speed and energy to consumption by distance.
 
-    Energy that was taken while speed was silent has no distance: it is in no stretch.
+    Energy that was taken while speed was silent has no distance, so no stretch has it.
 
     Attributes:
         windows: over the last 1, 10 and 100 km; a reset of the trip leaves them.
@@ -118,7 +118,7 @@ class TripLog(Saveable[SavedTrip]):
         return Stretch(self._speed.total.drawn, self._energy)
 
     def extend(self, stamps: np.ndarray, speeds: np.ndarray, energies: np.ndarray) -> None:
-        """Take speeds, m/s, and the net energy since whenever, J, then; shape (n,) each."""
+        """Take speeds, m/s, and the net energy at them since any start, J; shape (n,) each."""
         # The integral of speed is distance: one way to deal with gaps and doubled stamps.
         course = self._speed.extend(stamps, np.abs(speeds))
         used = energies[course.places]
@@ -133,7 +133,7 @@ class TripLog(Saveable[SavedTrip]):
         self._energy_before = float(used[-1])
 
     def correct(self, energy: float) -> None:
-        """Add energy, J, that turned out later to belong to the trip."""
+        """Add energy, J, that is found later to belong to the trip."""
         self._energy += energy
 
     def reset_trip(self) -> None:
@@ -142,7 +142,7 @@ class TripLog(Saveable[SavedTrip]):
         self._go_on(SavedIntegral())
 
     def begin_anew(self) -> None:
-        """Join nothing to the speed before: time jumped."""
+        """After a jump of time: join no speed to earlier ones."""
         self._go_on(self._speed.total)
 
     def saved(self) -> SavedTrip:

@@ -6,16 +6,16 @@ closed form for constant sigma:
 
     variance(t) = 2 sigma^2 tau (t - tau (1 - exp(-t / tau)))
 
-which is (sigma t)^2 for t << tau, where the error is still one constant offset, and
-2 tau sigma^2 t for t >> tau, where it is a random walk. Independent errors (tau -> 0) would
-promise far too much; an offset for the whole drive (tau -> infinity) far too little.
+which is (sigma t)^2 for t << tau, where the error is a constant offset, and 2 tau sigma^2 t for t
+>> tau, where it is a random walk. Independent errors (tau -> 0) would give a far too small sigma;
+an offset for the whole drive (tau -> infinity) a far too large one.
 
-That is the error of minutes. What the car does differently from what was learned (tyres, wind, a
-cold battery) lasts: once the battery is silent nothing corrects it, and the error of energy grows
-with the gross energy, drawn and regenerated together, not with its root. The hybrid learner states
-the sigma of a dropout itself; `LASTING_SHARE` stands in for one that does not (`mode: paper`).
+That is the error of minutes. A difference between the car and the learned one (tyres, wind, a cold
+battery) lasts: without the battery nothing corrects it, and the error of energy grows with the
+gross energy, drawn and regenerated together, not with its root. The hybrid learner gives the sigma
+of a dropout itself; `LASTING_SHARE` replaces it in `mode: paper`.
 
-What a sensor samples is not what lies between its samples: see `sampled`.
+Power between the samples of a sensor adds a variance too: see `sampled`.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from evpinn_ros.common.arrays import namespace
 # From the spread of the energy error over 60 s windows, in the second half of a Model 3 drive
 # and twelve BMW i3 drives, with parameters fitted to the first half: median 4.5 s, 1.8 to 30 s.
 CORRELATION_TIME = 5.0  # s
-# Twelve BMW i3 trips, each without its battery after learning on those before.
+# From twelve BMW i3 trips, each predicted without its battery after the trips before it.
 LASTING_SHARE = 0.06
 # Chosen on two drives of a Model 3 and two of an i3, thinned to 1 .. 10 s. On 30 drives of another
 # car (Changchun) totals by trapezoids were off by 0.75 sigma as root mean square of readings 1 s
 # apart, by 1.2 to 1.35 of those 2 to 10 s apart, and by 4.1 at most.
-POWER_MEMORY = 2.5  # s after which power in traffic is another
+POWER_MEMORY = 2.5  # s, time constant of power in traffic
 
 
 def relaxed(elapsed: Any, memory: float) -> Any:
@@ -51,7 +51,7 @@ def walked(elapsed: Any, memory: float) -> Any:
 def sampled(steps: np.ndarray, rises: np.ndarray) -> np.ndarray:
     """Variance, J^2, of the energy of steps, s, from the rise of power, W, over each.
 
-    Power is taken for a Gauss-Markov process whose size follows from the rises. For short steps
+    Power is modelled as a Gauss-Markov process whose size follows from the rises. For short steps
     it is that of a Brownian bridge, rise^2 step^2 / 12; for long ones, whose samples are
     independent, six times that.
     """
@@ -69,7 +69,7 @@ class CorrelatedError:
     """
 
     def __init__(self, start_sigma: float = 0.0) -> None:
-        """Start afresh; start_sigma: 1-sigma of the energy so far, J, unrelated to what comes."""
+        """Start; start_sigma: 1-sigma of the energy so far, J, independent of later errors."""
         self._covariance = 0.0
         self._variance = start_sigma**2
 
@@ -84,7 +84,7 @@ class CorrelatedError:
         """Integrate over steps, s, each with a 1-sigma of power, W, constant in it; shape (n,).
 
         `besides` are independent variances of the energy of the steps, J^2.
-        Gives the variance of the energy, J^2, before and after each, shape (n + 1,).
+        Returns the variance of the energy, J^2, before and after each, shape (n + 1,).
         """
         tau = CORRELATION_TIME
         forgotten = relaxed(steps, tau) / tau  # 1 - exp(-dt / tau)

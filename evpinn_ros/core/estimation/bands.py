@@ -1,9 +1,9 @@
-"""Bands of energy that cover what they claim, by rehearsals (`estimation.rehearsal`).
+"""Scales bands of energy by the errors of rehearsals (`estimation.rehearsal`).
 
-How errors of predictions without the battery spread in sigmas scales the variance of a real
-dropout or forecast, up or down, apart for dropouts and for whole drives. Where no height is known,
-the errors also show how hilly the roads of this car are: flat country has narrow bands. Drives
-with known heights show it by how far above or below their start they ended (`Hills`).
+The spread of the errors of predictions without the battery, in sigmas, scales the variance of a
+real dropout or forecast, up or down, separately for dropouts and whole drives. Where no height is
+known, the errors also show how hilly the roads of this car are: flat country has narrow bands.
+Drives with known heights show it by how far above or below their start they ended (`Hills`).
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.calibration import MOST_SUM
 
 GROWTHS = np.array([0.0004, 0.004, 0.04])  # m^2 of unseen height per m: flat, hilly, mountains
-HILLS_KEPT = 0.98  # of the evidence on these, from one rehearsal to the next
+HILLS_KEPT = 0.98  # share of their evidence that one rehearsal passes to the next
 MOST_DEVIATE = 4.0  # sigmas; one odd road counts no more
 MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
-# What counts before any case: cars without a word on their heating, their height or their wind
-# err by more than their sigmas say, simulated ones by less.
+# Assumed before any case. Cars that report no heating, height or wind err by more than their
+# sigmas, simulated ones by less.
 PRIOR_CASES, PRIOR_SCALE = 4.0, 1.5
 CASES_KEPT = 40.0  # remembered
-LEAST_HEIGHTS_METRES = 10e3  # m of known heights, before `Hills` says anything
-HILLS_MEMORY_METRES = 300e3  # m within which what was driven before is forgotten to a third
-KEPT = 1.0 - 1.0 / CASES_KEPT  # of the sums of `TrackRecord`, from drive to drive
-MOST_COUNTED = 999  # drives, whose sum of `KEPT` still tells how many they are
+LEAST_HEIGHTS_METRES = 10e3  # m of known heights from which on `Hills` counts
+HILLS_MEMORY_METRES = 300e3  # m of road over which earlier road is forgotten to a third
+KEPT = 1.0 - 1.0 / CASES_KEPT  # share of the sums of `TrackRecord` kept from drive to drive
+MOST_COUNTED = 999  # drives; the sum of `KEPT` determines no larger number
 
 
 class PredictedEnergy(NamedTuple):
-    """Energy of a journey, J, and its variance but for unseen hills, J^2.
+    """Energy of a journey, J, and its variance without that of unseen hills, J^2.
 
-    `hills`, J^2 per m, is by how much variance of height per length of road counts: the square of
-    weight over eta, times the length of road without height.
+    `hills`, J^2 per m, times the variance of height per length of road is that of unseen hills:
+    the square of weight over eta, times the length of road without height.
     """
 
     mean: float
@@ -60,7 +60,7 @@ class Spread(NamedTuple):
 
     @property
     def seen(self) -> float:
-        """Factor as `scale`, but the cases that are assumed before any have 1."""
+        """Factor as `scale`, where the cases assumed before any have factor 1."""
         return (PRIOR_CASES + self.squares) / (PRIOR_CASES + self.cases)
 
     def after(self, deviate: float) -> Spread:
@@ -75,9 +75,9 @@ class TrackRecord(NamedTuple):
 
     Attributes:
         drives: predicted, of which the newest `CASES_KEPT` count most.
-        measured: size of their energy, J.
-        learned: sizes of the errors of what was learned before each drive, J.
-        file: of the vehicle file alone, J.
+        measured: absolute energy, J.
+        learned: absolute errors of the car as learned before each drive, J.
+        file: absolute errors of the vehicle file alone, J.
     """
 
     drives: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
@@ -86,18 +86,18 @@ class TrackRecord(NamedTuple):
     file: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
 
     def after(self, drawn: float, learned: float, file: float) -> TrackRecord:
-        """With one more drive that drew so many J, predicted by both."""
+        """The record after one more drive: measured energy and both predictions, J."""
         more = 1.0, abs(drawn), abs(learned - drawn), abs(file - drawn)
         return TrackRecord(*(KEPT * sum_ + add for sum_, add in zip(self, more, strict=True)))
 
     @property
     def sentence(self) -> str | None:
-        """Sentence on what predicts this car's drives to how many percent; None before any."""
+        """Sentence on how well this car's drives were predicted; None before any."""
         if not self.measured:
             return None
         learned, file = (100.0 * error / self.measured for error in (self.learned, self.file))
         forgotten = max(1.0 - self.drives / CASES_KEPT, KEPT**MOST_COUNTED)
-        drives = math.log(forgotten) / math.log(KEPT)  # whose sum is `drives`
+        drives = math.log(forgotten) / math.log(KEPT)  # number of drives whose sum is `drives`
         text = f"Predicted beforehand, the energy of {drives:.0f} drive{'s' * (drives > 1.5)} was "
         return f"{text}off by {learned:.0f} %; by the vehicle file alone, by {file:.0f} %."
 
@@ -139,7 +139,7 @@ class Bands:
         )
 
     def after_dropout(self, energy: PredictedEnergy, drawn: float, *, long: bool) -> Bands:
-        """With one more dropout that did not happen."""
+        """The bands after one more rehearsed dropout."""
         error = drawn - energy.mean
         bands = self
         if long:

@@ -1,14 +1,14 @@
-"""Breakdown of the energy of a drive by where it went, with what is not known of it.
+"""Breakdown of the energy of a drive by where it went, with its covariance.
 
-The parts of a drive (`Equation.split`, summed over its intervals) are linear in the states, so
-what later intervals teach of the car, of this drive or of the height of its road moves the parts
-of before, and nothing is added up twice. When a drive ends, what is of it alone (its offsets, the
-loads that wandered, the unseen climb) is kept as what the states of the car say of it, so that
-drives can be compared by all that was learned (a smoother of Rauch, Tung and Striebel).
+The parts of a drive (`Equation.split`, summed over its intervals) are linear in the states. So
+later intervals, which teach more of the car, of this drive or of its heights, also correct earlier
+parts, and nothing is added up twice. When a drive ends, its own states (offsets, wandered loads,
+unseen climb) are kept as functions of the states of the car, so that drives can be compared by all
+that was learned (a smoother of Rauch, Tung and Striebel).
 
-The parts need not add up to what was measured: what is left is shown as unexplained, as unsure as
-the noise that was found on the way, outliers (a brake that friction does, say) with it. Parts that
-the data tell apart worse than they tell their sum are to be read together (`together`).
+The parts need not add up to the measured energy: the rest is shown as unexplained, with the sigma
+of the noise on the way, outliers (braking by friction, say) included. Parts whose sum the data
+determine better than the parts are to be read together (`together`).
 """
 
 from __future__ import annotations
@@ -33,38 +33,38 @@ from evpinn_ros.core.vehicle.physics import GRAVITY
 
 UNEXPLAINED, REGAINED = "unexplained", "regained"
 OWN = [*OFFSETS, State.WANDERED, State.LOAD_ENERGY]
-OWN += [State.CLIMBED, State.CLIMB]  # states that are of a drive alone
-# A measured height strays: wind and doors move a barometer by half a metre, for a minute. Of a
-# whole drive it counts at both ends.
+OWN += [State.CLIMBED, State.CLIMB]  # states of a single drive
+# A measured height strays: wind and doors move a barometer by half a metre for a minute. In a
+# whole drive this counts at both ends.
 HEIGHT_STRAYS = 0.5  # m, 1-sigma
-DIFFERENCE_METRES = 1e5  # m that a difference of drives is of
-EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at the ends of what is counted
+DIFFERENCE_METRES = 1e5  # m to which differences of drives refer
+EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at both ends of the counted intervals
 STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
 # Wind, and a rolling resistance that grows with speed, make air and tyres look like each other,
 # and a load that is on while the car drives looks like tyres: share of the air's and of the
 # standing energy, 1-sigma. By likelihood of 60 simulated drives that no benchmark scores.
 AS_TYRES = 0.05
-# Of what is regained, 1-sigma: lost in the brakes instead, and less in the drivetrain, for the sum
-# is known. A step of half a second may hold driving and braking. Where no torque shows it, brakes
-# blend in differently from drive to drive: by the likelihood of 24 recorded drives of an i3 and a
-# Leaf, each learned alone, against all of that car (`evpinn bench breakdown --alone`).
+# Share of the regained energy, 1-sigma: lost in the brakes instead, and less in the drivetrain,
+# because the sum is known. A step of half a second may hold driving and braking. Without torque,
+# the share of the brakes differs from drive to drive: by the likelihood of 24 recorded drives of
+# an i3 and a Leaf, each learned alone, against all of that car (`evpinn bench breakdown --alone`).
 NOT_REGAINED, NOT_REGAINED_UNSEEN = 0.015, 0.08
-# Where no height is known, the net climb of a drive is as unknown as roads make it: so many m,
-# 1-sigma, once a drive is longer than `HILL`, m. By drives of an i3 and a Leaf whose heights were
-# taken out (`evpinn bench breakdown --heights`): what a climb took is booked elsewhere then, as
-# braking and losses of the drivetrain on a steep short drive, as tyres and air on a long one.
-# The ends of a drive whose heights begin late are shorter: no road climbs more than `STEEP` there.
+# Where no height is known, the net climb of a drive has this 1-sigma, m, once the drive is longer
+# than `HILL`, m. In drives of an i3 and a Leaf without their heights (`evpinn bench breakdown
+# --heights`), the energy of a climb appears as braking and losses of the drivetrain on a steep
+# short drive, as tyres and air on a long one. Where heights begin late, the unknown ends are
+# short: no road climbs more than `STEEP` there.
 NET_CLIMB, HILL, STEEP = 122.0, 1000.0, 0.05
 CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
 CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
-MOSTLY_UNSEEN = 0.5  # of the way without heights, from here on worth saying
-# Between drives: efficiency changes by this much for each e-fold of power, and a constant one
-# has air, the part that grows with speed most, account for it.
+MOSTLY_UNSEEN = 0.5  # share of the way without heights from which on a note says so
+# Between drives, efficiency changes by this much for each e-fold of power; a constant efficiency
+# counts that as air, the part that grows with speed most.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
-TOGETHER = 0.5  # a sum this much surer than its less sure part is known, its parts are not
+TOGETHER = 0.5  # sigma of a sum over that of its less sure part, below which parts are joined
 _TERMS = [LASTING.index(state) for state in PHYSICS]  # columns of `EndedDrive.rows`
-CONSUMPTION_METRES = 100.0  # m; over less no consumption is known
-KNOWN_SHARE = 0.02  # of what went in and out: a part less unsure than that is known well enough
+CONSUMPTION_METRES = 100.0  # m; shorter drives have no consumption
+KNOWN_SHARE = 0.02  # of gross energy: a part with a smaller sigma is known well enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class Totals:
         distance: m.
         seconds: s.
         unseen: m of the distance where no height was known.
-        noise: variance of the energy that no state of the car explains, as learned, J^2.
+        noise: learned variance of the energy that no state of the car explains, J^2.
     """
 
     measured: float = 0.0
@@ -118,7 +118,7 @@ class Breakdown(Totals):
     covariance: np.ndarray
 
     def amounts(self) -> dict[str, Amount]:
-        """The parts, what they leave unexplained, and what braking brought back beside them."""
+        """The parts, the unexplained rest, and beside them the energy that braking returned."""
         amounts = {part.name.lower(): self.of(part) for part in list(Part)[WHOLE]}
         explained = float(self.energy[WHOLE].sum())
         unsure = float(self.covariance[WHOLE, WHOLE].sum()) + self.measured_variance + self.noise
@@ -136,7 +136,7 @@ class Breakdown(Totals):
         return self._amount(self.measured, self.measured_variance)
 
     def together(self) -> list[tuple[Part, ...]]:
-        """Groups of parts that the data do not tell apart: their sum is much surer than they."""
+        """Groups of parts that the data do not separate: their sum is much surer."""
         scale = KNOWN_SHARE * float(np.abs(self.energy[WHOLE]).sum())
         groups: list[tuple[Part, ...]] = [(part,) for part in list(Part)[WHOLE]]
         while True:
@@ -170,7 +170,7 @@ class Breakdown(Totals):
 
 @dataclass(frozen=True, slots=True)
 class Breakdowns:
-    """Breakdowns of D drives of one car, and how their errors go together.
+    """Breakdowns of D drives of one car, with their joint covariance.
 
     Attributes:
         energy: of each part of each drive, J, shape (D, COUNT).
@@ -191,7 +191,7 @@ class Breakdowns:
         return Breakdown(*astuple(whole), energy=self.energy[drive], covariance=own)
 
     def possible(self) -> Breakdowns:
-        """Their likeliest energies without a negative loss, as sure as before."""
+        """The likeliest energies without a negative loss; the covariance stays."""
         energy = np.array([
             at_least_zero(Gaussian(parts, self.covariance[drive, :, drive]), LOSSES)
             for drive, parts in enumerate(self.energy)
@@ -199,11 +199,11 @@ class Breakdowns:
         return replace(self, energy=energy)
 
     def difference(self, drive: int, base: int) -> Breakdown:
-        """Energy that a drive took more than another, of 100 km each.
+        """Energy that a drive took more than another, each scaled to 100 km.
 
-        What is not known of the car is the same in both, and mostly gone from the difference. What
-        stays is that its efficiency is a map: the more the power of the drives differs, the more.
-        Both must be longer than `CONSUMPTION_METRES`.
+        Errors about the car are the same in both and mostly cancel. The efficiency map remains:
+        the more the powers of the drives differ, the larger its error. Both drives must be longer
+        than `CONSUMPTION_METRES`.
         """
         pair = [drive, base]
         more, less = (self.drives[drive] for drive in pair)
@@ -246,7 +246,7 @@ class DriveParts:
 
     @classmethod
     def none(cls) -> DriveParts:
-        """Parts of a drive before its first interval: its fast states alone have energy."""
+        """Parts of a drive before its first interval: only its fast states have energy."""
         rows = np.zeros((COUNT, SIZE))
         rows[Part.STANDING, [State.WANDERED, State.LOAD_ENERGY]] = 1.0
         rows[Part.SLOPE, [State.CLIMBED, State.CLIMB]] = 1.0
@@ -255,7 +255,7 @@ class DriveParts:
     def plus(self, interval: Interval, parts: np.ndarray, noise: float) -> DriveParts:
         """With one more interval, its `Equation.split`, (COUNT, SIZE), and its noise, J^2."""
         own = parts.copy()
-        own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY have what it gave
+        own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY hold its energy
         more = (
             interval.energy,
             max(0.0, interval.sampling_variance),
@@ -291,7 +291,7 @@ class EndedDrive:
     Attributes:
         rows: energy by part and state of `LASTING`, J per unit, shape (COUNT, len(LASTING)).
         offset: J, shape (COUNT,).
-        own: covariance of what is of the drive alone, J^2, shape (COUNT, COUNT).
+        own: covariance of the states of the drive alone, J^2, shape (COUNT, COUNT).
         totals: what it is of.
     """
 
@@ -308,7 +308,7 @@ def breakdowns(
     drives = (*ended, now.ended(state))
     mean, covariance = state.mixture()
     rows = np.concatenate([drive.rows for drive in drives])
-    # What of it the load of a drive explains stands in the offset, as far as the car does not.
+    # The energy of the load of a drive that the car does not explain is in the offset.
     unseen = [
         float(drive.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS] + drive.offset[Part.REGAINED])
         for drive in drives
@@ -332,7 +332,7 @@ def _beside(
 
     Args:
         energy: of each part, J, shape (COUNT,).
-        regained: what the terms of eq. 21 have of it, J; nothing where torque shows braking.
+        regained: by the terms of eq. 21, J; zero where torque shows braking.
         totals: of the drive.
         weight: over eta, N.
         growth: variance of the unseen climb per length of floors, m, NaN for roads.
@@ -360,7 +360,7 @@ def _beside(
 
 
 def climb_as_rolling(unseen: float) -> float:
-    """C_rr that an unseen net climb over so many m looks like, 1-sigma."""
+    """1-sigma of C_rr that an unseen net climb over a distance, m, looks like."""
     if unseen <= 0.0:
         return 0.0
     return net_climb(unseen) * _as_friction(unseen) / unseen
@@ -371,12 +371,12 @@ def _as_friction(unseen: float) -> float:
 
 
 def net_climb(unseen: float) -> float:
-    """Net climb of so many m of road whose height is not known, m, 1-sigma."""
+    """1-sigma of the net climb, m, of a road of unknown height and this length, m."""
     return min(STEEP * unseen, NET_CLIMB * math.sqrt(1.0 - math.exp(-unseen / HILL)))
 
 
 def _unseen_climb(energy: np.ndarray, unseen: float) -> np.ndarray:
-    """Share of an unseen net climb that each part is off by, shape (COUNT,), sum 0."""
+    """Share of an unseen net climb that appears in each part, shape (COUNT,), sum 0."""
     friction = _as_friction(unseen)
     air, tyres = np.maximum(energy[[Part.AIR, Part.TYRES]], 0.0) + 1.0
     shares = np.zeros(COUNT)

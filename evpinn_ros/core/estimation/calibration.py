@@ -1,7 +1,7 @@
-"""Bands that cover what they claim: sigma is scaled by how errors really spread.
+"""Scales sigma so that bands of 90 % hold 90 % of the measured values.
 
-The sigma of a model is only as true as the model. Here the ratio of error to sigma that 90 % of
-the samples stay under is followed online (Gibbs and Candes, 2021, adaptive conformal inference,
+The sigma of a model is only as true as the model. So the ratio of error to sigma below which 90 %
+of the samples lie is followed online (Gibbs and Candes, 2021, adaptive conformal inference,
 on a logarithmic scale), and sigma is scaled so that +-1.645 sigma covers 90 %.
 """
 
@@ -19,7 +19,7 @@ from evpinn_ros.common.saved_fields import Range, Saveable
 
 COVERAGE = 0.9
 GAUSSIAN_QUANTILE = 1.6449  # of |z| at COVERAGE
-RATE = 0.02  # of the logarithm: up by 0.9 of it after a miss, down by 0.1 of it otherwise
+RATE = 0.02  # of the logarithm: 0.9 of it up after a miss, 0.1 of it down otherwise
 RATIO_RANGE = (0.05, 20.0)
 RECENT = 600  # samples over which coverage is reported, a minute at 10 Hz
 MOST_WAITING = 2000  # predictions
@@ -27,7 +27,7 @@ MOST_SUM = 1e15  # of squares and products over a car's life
 
 
 class SavedBand(NamedTuple):
-    """Ratios of error to sigma that 90 % stay under, of a moving and of a standing car."""
+    """Ratios of error to sigma below which 90 % lie, of a moving and of a standing car."""
 
     moving: Annotated[float, Range(*RATIO_RANGE)]
     standing: Annotated[float, Range(*RATIO_RANGE)]
@@ -42,7 +42,7 @@ class SavedBands:
 
 
 class Waiting(NamedTuple):
-    """Predictions whose battery is yet to come: stamps, power and 1-sigma, W, and if moving."""
+    """Predictions without a battery reading yet: stamps, power and 1-sigma, W, and if moving."""
 
     stamp_ns: np.ndarray
     power: np.ndarray
@@ -50,11 +50,11 @@ class Waiting(NamedTuple):
     moving: np.ndarray
 
     def and_then(self, later: Waiting) -> Waiting:
-        """These, and those that follow."""
+        """These predictions, and those that follow."""
         return Waiting(*map(np.concatenate, zip(self, later, strict=True)))
 
     def after(self, index: np.ndarray) -> Waiting:
-        """The latest of those behind the ones that were measured, at increasing indices."""
+        """The latest predictions behind the measured ones, which are at increasing indices."""
         first = max(len(self.power) - MOST_WAITING, *(index[-1:] + 1), 0)
         return Waiting(*(column[first:] for column in self))
 
@@ -102,7 +102,7 @@ class BandCalibration(Saveable[SavedBand]):
         Args:
             moving: whether the car moves, shape (n,).
             sigma: 1-sigma of the model, W, shape (n,).
-            learned: predictions that are held against measurements meanwhile, in order.
+            learned: predictions that are compared with measurements meanwhile, in order.
         """
         ratios = np.empty(len(sigma))
         begin = 0

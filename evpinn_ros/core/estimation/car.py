@@ -41,7 +41,7 @@ from evpinn_ros.core.signals.sign_detectors import GradeDetector
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
 MOST_INTERVALS = 5000  # of one drive that unevenness is learned from, fourteen hours
-# Drives that are compared may have nothing of their offsets in common.
+# Compared drives share none of their offsets.
 KEPT_WHEN_COMPARED = 0.0
 
 
@@ -52,21 +52,21 @@ class LearnedCar:
     Attributes:
         equation: of the car.
         state: the posterior.
-        driven: what the published parameters are meant over.
-        rehearsals: predictions under way that will say how far bands are to be trusted.
+        driven: driving over which the published parameters are the mean.
+        rehearsals: predictions under way whose errors will scale the bands.
         parts: where the energy of this drive went.
-        ended: the same of drives before it, where they are kept to be compared, and of what was
-            driven before a long stop; each with the number of its drive.
+        ended: the same of drives before it, if they are kept to be compared, and of the driving
+            before a long stop; each with the number of its drive.
         number: of this drive.
         payload: of this drive against the drive before.
         grade: sign of the reported grade.
-        unevenness: what uneven speed takes beyond even, by the drives that ended.
+        unevenness: energy of uneven speed beyond even speed, by the drives that ended.
         hills: of their roads.
         steps: of this drive, to learn both from.
         dropout: what was driven since the battery was last measured.
         end_ns: end of the last interval.
         known_ns: up to where the battery was measured: before `end_ns` in a dropout.
-        stretches: of road and drives begun so far; what began meanwhile outdates an update.
+        stretches: roads and drives begun so far; one begun meanwhile outdates an update.
         gated: intervals not learned from, by reason, of this update.
     """
 
@@ -112,7 +112,7 @@ class LearnedCar:
         return car
 
     def model(self) -> CarModel:
-        """The car as predictions from here on take it, by the drives that ended."""
+        """The car for predictions from here on, with the unevenness of the drives that ended."""
         model = self.state.model(self.equation)
         growth = max(model.growth, self.hills.growth)
         return replace(model, growth=growth, unevenness=self.unevenness)
@@ -136,7 +136,7 @@ class LearnedCar:
         return of_drives.joined(owners).possible()
 
     def forget_road(self) -> LearnedCar:
-        """After a jump of time: another place on the road, and the car may have stood."""
+        """The car after a jump of time: at another place, and it may have stood."""
         state = forget_road(self._after_dropout())
         return replace(
             self,
@@ -152,7 +152,7 @@ class LearnedCar:
 
         Args:
             compare: keep the parts of the drives before, to compare; no offset is as it was.
-            goes_on: the breakdown goes on, as over a long stop in a recording.
+            goes_on: continue the breakdown, as over a long stop in a recording.
         """
         car = self.forget_road()
         ended, number = self.ended, self.number
@@ -187,7 +187,7 @@ class LearnedCar:
         return self.unevenness.after(self.equation, mean, drive)
 
     def judged(self) -> CarState:
-        """The state with what this drive, were it to end here, says of predictions of drives."""
+        """The state judged as if this drive ended here."""
         return self.rehearsals.end_drive(self.state, self.equation)
 
     def is_finite(self) -> bool:
@@ -243,7 +243,7 @@ class LearnedCar:
         return replace(self, steps=newest, hills=hills, end_ns=interval.end_ns)
 
     def _after_dropout(self) -> CarState:
-        """The state once a dropout is over: time has passed, its energy is in no sum."""
+        """The state after a dropout: time has passed, and its energy is in no sum."""
         if self.dropout.seconds == 0.0:
             return self.state
         return forget_present(advance(self.state, self.dropout.seconds))

@@ -1,4 +1,4 @@
-"""A car as predictions take it: what was learned of it, without what goes on learning."""
+"""The learned car as a value for predictions, without what is needed to go on learning."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from evpinn_ros.core.estimation.unevenness import Unevenness
 from evpinn_ros.core.signals.readings import TEMPERATURES
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
-MOST_NUMBER = 1e20  # of a state or covariance, in its unit: products of these stay numbers
+MOST_NUMBER = 1e20  # of a state or covariance, in its unit, so that products stay finite
 MOST_TRUST = 1e4  # factor of a variance
 MOST_SECONDS = 1e9  # of a drive
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarModel:
-    """A car as predictions take it: what a dropout, a forecast and a planner need to know.
+    """A car as a dropout, a forecast and a planner need to know it.
 
     Attributes:
         equation: of the car.
         mean: of the states over all hypotheses, shape (SIZE,).
         covariance: shape (SIZE, SIZE).
-        noise: scales of what no state explains, by its kinds (`noise_of`), shape (3,).
+        noise: scales of the kinds of unexplained energy (`noise_of`), shape (3,).
         load_variance: of the wandering load, W^2.
         growth: variance of unseen height per length of road, m.
-        trust: factor of the variance of energy, by rehearsals: of whole drives before anything
-            was learned in this one, else of dropouts.
+        trust: factor of the variance of energy, by rehearsals: of whole drives until something was
+            learned in this one, then of dropouts.
         seconds: of this drive so far.
         celsius: temperature outside, the last known, or None.
-        unevenness: what uneven speed takes beyond even.
+        unevenness: energy of uneven speed beyond even speed.
         last_drive: s of the drive before.
         record: errors of earlier drives, predicted at their start.
     """

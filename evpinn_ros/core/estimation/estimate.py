@@ -29,7 +29,7 @@ class Trust(str, Enum):
     INVALID = "invalid"
 
 
-TRACKED = ("value", "std", "prior_share")  # of these, over time
+TRACKED = ("value", "std", "prior_share")  # the figures that are recorded over time
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +39,8 @@ class ParameterEstimate:
     Attributes:
         trust: how far to trust it.
         progress: percent of the way to a combination that the data determine.
-        possible: False where the value cannot be trusted however much was learned: no car has
-            such a one, or the heights are unknown that it needs.
+        possible: False if the value is never trusted: no car has it, or it needs heights that are
+            unknown.
     """
 
     value: Annotated[float, Figure("", "live value at the end: 1, 1, kg, 1, 1, W")]
@@ -82,7 +82,7 @@ class ParameterSet:
         identifiable_std: its 1-sigma.
         reliable: whether every validity check is passed.
         identifiable_trust: how far each combination can be trusted.
-        lag: by which speed is stamped later than the battery, None while unknown.
+        lag: time by which speed is stamped later than the battery, None while unknown.
     """
 
     stamp_ns: int
@@ -94,15 +94,15 @@ class ParameterSet:
     lag: Lag | None = None
 
     def stale(self) -> ParameterSet:
-        """Parameters whose trust says that nothing was measured for long."""
+        """The parameters as `stale`: nothing was measured for long."""
         return self._faded(Trust.STALE)
 
     def doubted(self) -> ParameterSet:
-        """Parameters of which none is valid, for signals of different moments were joined."""
+        """The parameters with none `valid`, because signals of different moments were joined."""
         return self._faded(Trust.ESTIMATING)
 
     def _faded(self, trust: Trust) -> ParameterSet:
-        """Parameters that have this trust where they were valid."""
+        """The parameters with this trust in place of `valid`."""
         fades = {Trust.VALID: trust}
         return replace(
             self,

@@ -123,8 +123,8 @@ class EstimatorSettings:
         stream: how readings become samples.
         keep_drives: whether breakdowns of earlier drives are kept, to be compared; hybrid alone.
         mode: how to learn.
-        regen_form: reading of eq. 21; `mode: paper` alone.
-        optimizer: what trains; `mode: paper` alone.
+        regen_form: form of eq. 21; of `mode: paper` alone.
+        optimizer: of `mode: paper` alone.
     """
 
     seed: int = 0
@@ -161,7 +161,7 @@ class EstimatorStatus:
         unknown: optional inputs without data (see `Road.unknown`).
         stuck: name of the signal that repeats one value (see `signals.stuck`), or None.
         lag: of speed to battery, None while unknown.
-        shift: of the battery's stamps that takes it out, s.
+        shift: of the battery's stamps that removes the lag, s.
     """
 
     activity: Activity
@@ -185,7 +185,7 @@ class EstimatorStatus:
 
 @dataclass(frozen=True, slots=True)
 class SavedEstimator:
-    """State of a car: that of its learner, the bands, its lag, its size where it was learned."""
+    """State of a car: of its learner, its bands, its lag, and its size if that was learned."""
 
     SAME = ("version", "vehicle", "mode")
 
@@ -204,7 +204,7 @@ class _Clock(NamedTuple):
     Attributes:
         newest_ns: of the newest speed, None before the first.
         battery_ns: of the newest battery reading by the clock of speed, `NEVER` before the first.
-        battery_gap_ns: without the battery, that is a dropout.
+        battery_gap_ns: time without the battery that is a dropout.
         alignment: what is known of the lag.
     """
 
@@ -243,11 +243,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     @property
     def vehicle(self) -> Vehicle:
-        """What it is learned as: the vehicle file, or a vehicle of another size."""
+        """The vehicle as it is learned: that of the file, or one of another size."""
         return self._vehicle
 
     def _restart_as(self, vehicle: Vehicle) -> None:
-        """Know this vehicle alone."""
+        """Start anew with this vehicle."""
         self._worker.cancel()
         self._vehicle, self._similarity = vehicle, Similarity(vehicle)
         self._learner = self._settings.new_learner(self._similarity.car)
@@ -259,7 +259,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._begin_time()
 
     def _align(self, lag: Lag | None) -> None:
-        """Have a drive with the clock of speed, by the lag that earlier ones showed."""
+        """Shift the battery to the clock of speed, by the lag that earlier drives showed."""
         self._aligner = Aligner(lag)
         self._buffer.shift_battery(self._aligner.shift_ns)
 
@@ -271,9 +271,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._persistence = Persistence()
         # Stamps at which the battery measured power, from the last before the smoothed samples.
         self._told_ns = np.array([NEVER])
-        self._ready: list[tuple[int, Interval]] = []  # for the next tick, and since when
+        self._ready: list[tuple[int, Interval]] = []  # for the next tick, with ready stamps
         self._waiting = False
-        self._news = False  # whether there is anything that no update has seen
+        self._news = False  # True if there are intervals that no update has seen
         self._predictions = dict.fromkeys(self._bands, NO_PREDICTIONS)
         self._predicted: list[tuple[int, float, float, bool]] = []  # at once, and not held yet
         self._surroundings: tuple[list[float], Sample] | None = None  # as known now
@@ -292,17 +292,17 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._begin_time()
 
     def flush(self) -> Outputs:
-        """Take the readings that wait for others: no more will come, or only after a pause."""
+        """Process the waiting readings: no more will come, or only after a pause."""
         return self._advance(self._buffer.flush(), NO_SPEEDS)
 
     def finish(self) -> ParameterSet:
-        """Learn what waits for more of a drive that is over; gives the parameters then."""
+        """Learn the waiting intervals of a drive that is over; returns the parameters then."""
         self.flush()
         self._find_size()
         for interval in (*(ready for _, ready in self._ready), *self._stream.finish()):
             self._add_interval(interval, self._stuck.verdict)
         self._ready = []
-        self._tick(self._clock)  # takes the update before and begins the last
+        self._tick(self._clock)  # takes the last update but one, and begins the last
         return self._similarity.estimate(self._tick(self._clock))
 
     def begin_next_drive(self) -> None:
@@ -321,11 +321,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._worker.durations.clear()
 
     def add_readings(self, readings: Iterable[Reading]) -> list[Output]:
-        """Take readings in the order they came; give what they lead to, in order."""
+        """Take readings in order of arrival; yields their outputs in order."""
         return [output for _, output in self.add_block(Block.of(readings)).in_order()]
 
     def add_block(self, block: Block, *, breakdowns: bool = False) -> Outputs:
-        """Take readings in the order they came; how they are cut into blocks changes no output.
+        """Take readings in order of arrival; how they are cut into blocks changes no output.
 
         Args:
             block: of the readings.
@@ -340,17 +340,17 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def add_reading(
         self, reading: Reading, *, breakdowns: bool = False
     ) -> tuple[PowerEstimate | None, Outputs | None]:
-        """Take one reading as it comes; the outputs are those of `add_block`, but for the order.
+        """Take one reading as it comes; the outputs are those of `add_block` in another order.
 
         Returns:
-            Power that is measured or predicted at once, and what the reading completes, once
-            some tenths of a second.
+            Power that is measured or predicted at once, and each few tenths of a second the
+            outputs that have become complete.
         """
         self._tells_breakdown = breakdowns
         shift_ns = self._aligner.shift_ns
         if shift_ns and isinstance(reading, BatteryReading):
             reading = replace(reading, stamp_ns=reading.stamp_ns + shift_ns)
-        known_ns = self._buffer.watermark_ns  # before it
+        known_ns = self._buffer.watermark_ns  # before this reading
         used, released = self._buffer.add_reading(reading)
         now: PowerEstimate | None = None
         if used and isinstance(reading, SpeedReading):
@@ -433,7 +433,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return joined_outputs(parts)
 
     def _find_size(self) -> None:
-        """Learn this drive anew once its vehicle is seen to be of another size than the file's."""
+        """Learn this drive anew if its vehicle is of another size than that of the file."""
         if self._sizing is None:
             return
         size, readings = self._sizing.look(), joined(self._sizing.blocks)
@@ -448,7 +448,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
     @contextmanager
     def _updates_at_once(self) -> Iterator[None]:
-        """Compute each update when it is asked for: what is learned anew is not live."""
+        """Compute each update at once, because learning a drive anew is not live."""
         worker, self._worker = self._worker, InlineWorker(lambda: 0.0)
         try:
             yield
@@ -458,7 +458,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             self._worker = worker
 
     def _add(self, block: Block, newest: NewestSpeeds) -> Outputs:
-        """Take readings of a vehicle whose size is not looked for among them."""
+        """Take readings without looking for the size of the vehicle."""
         if self._sizing is not None and self.enabled:
             self._sizing.blocks.append(block)
         block = self._similarity.block(block)
@@ -497,9 +497,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def _persistent(
         self, newest: Newest, predicted: np.ndarray, course: VerdictCourse
     ) -> np.ndarray:
-        """Predictions, W, shape (n, 2), with what the battery last had beside them.
+        """Predictions, W, shape (n, 2), with the decaying error of the last battery reading.
 
-        The paper's are as they are.
+        Those of `mode: paper` stay as they are.
         """
         if self._settings.mode is Mode.PAPER:
             return predicted
@@ -526,7 +526,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return stamps
 
     def _told(self, told: ToldPower) -> PowerRows:
-        """Power that battery readings measure, at their own stamps, when they come."""
+        """Measured power, at the stamps of its readings, in order of arrival."""
         used = ~np.isnan(told.power) & (told.age_ns <= self._stream.battery.voltage.gap_ns())
         if not all(course.is_quiet for course in self._courses):
             sound = [self._is_sound(ns) for ns in told.battery.watermark_ns.tolist()]
@@ -537,7 +537,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return PowerRows.of(stamps, stamps, power, sigma)
 
     def _is_sound(self, watermark_ns: int) -> bool:
-        """Whether the battery was not known to be stuck once all up to a stamp was known."""
+        """True if the battery was not known to be stuck by the readings up to a stamp."""
         course = next((c for c in reversed(self._courses) if c.begin_ns <= watermark_ns), None)
         return course is None or course.at(watermark_ns).detected != BATTERY_STUCK
 
@@ -579,7 +579,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return joined_predictions(predictions), learned
 
     def _told_learned(self, known_ns: int, parameters: ParameterSet) -> Learned:
-        """What is known with parameters of the similar car."""
+        """The outputs of a tick, with parameters of the similar car."""
         breakdown = self._breakdown_beside(parameters) if self._tells_breakdown else None
         estimate = self._similarity.estimate(parameters)
         return Learned(known_ns, estimate, self.detections(), self.model(), breakdown)
@@ -589,7 +589,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return self._learner.follow(span)
 
     def _add_interval(self, interval: Interval, stuck: Verdict) -> None:
-        """Let the learner have an interval, unless a sensor was stuck in it.
+        """Give the learner an interval, unless a sensor was stuck in it.
 
         Nothing is learned in a dropout, and its energy must have no holes.
         """
@@ -607,7 +607,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         checkable: np.ndarray,
         place: np.ndarray,
     ) -> PowerRows:
-        """Predictions with 1-sigma by how errors really spread, each by what was known before.
+        """Predictions with calibrated 1-sigma, each by what was known before.
 
         Args:
             kind: of the predictions.
@@ -657,8 +657,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def breakdown(self, before: Sequence[EndedDrive] = ()) -> Breakdown | None:
         """Energy of this drive by where it went; with drives before it, of all of them.
 
-        None in the paper's mode, before any, and while the mass is invalid: then the car is
-        another one, or a signal is wrong, and what rests on them answers nothing.
+        None in the paper's mode, before the first interval, and while the mass is invalid: then
+        the car is another one, or a signal is wrong.
         """
         return self._breakdown_beside(self._parameters(self._clock), before)
 
@@ -716,7 +716,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands, lag, size)
 
     def take(self, saved: SavedEstimator) -> None:
-        """Go on from a saved state; when that raises nothing is changed."""
+        """Go on from a saved state; if this raises, nothing has changed."""
         vehicle = self._file if saved.size is None else self._file.of_size(saved.size)
         learner = self._settings.new_learner(Similarity(vehicle).car)
         learner.gated = self._learner.gated
@@ -771,7 +771,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         try:
             candidate = self._worker.collect()
         except Exception as error:
-            # The next window may well be solvable; what was learned before stays in use.
+            # The next window may be solvable; until then the earlier estimate stays in use.
             self._waiting = False
             self._rejected[f"failed_{type(error).__name__}"] += 1
             return
@@ -799,7 +799,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
 
 def _span(events: Events, measured: Measured, told_ns: np.ndarray) -> Span:
-    """Events as what a learner follows.
+    """The span of events that a learner follows.
 
     Args:
         events: of a block.
@@ -824,7 +824,7 @@ def evidence_of_state(vehicle: Vehicle, state: Mapping[str, Any]) -> Evidence:
     """Evidence in a saved state of a car, of `mode: hybrid`.
 
     Raises:
-        StateError: it is another vehicle's or version's, or does not fit.
+        StateError: the state is of another vehicle or version, or does not fit.
     """
     estimator = OnlineEstimator(vehicle, EstimatorSettings(), InlineWorker(lambda: 0.0))
     estimator.restore(state)

@@ -1,10 +1,10 @@
-"""Legs of a trip driven evenly: the steps that their mean speeds make, however they are cut.
+"""Legs of a trip driven evenly, as steps that do not depend on how the legs are cut.
 
 A plan of legs is a function of the road: its speed, its slope and what is known of its height.
-Neighbours of equal speed are one run, and neighbours of a run with one slope are one leg, so that
-a border that says nothing new changes nothing. Within `RAMP` of the border between two runs, or to
-their middles, kinetic energy goes along the way from that of one speed to that of the other; a
-trip begins and ends standing.
+Neighbours of equal speed are one run, and neighbours in a run with one slope are one leg, so a
+border between equal legs changes nothing. Within `RAMP` of the border between two runs, at most up
+to their middles, kinetic energy changes linearly along the way from one speed to the other. A trip
+begins and ends standing.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-EQUAL_SPEED = 0.02  # logarithm, within which a leg has the speed of the run before it
-SAME = 1e-9  # of slopes, of densities and of winds: differences of rounding
+EQUAL_SPEED = 0.02  # difference of logarithms within which a leg continues a run
+SAME = 1e-9  # difference of slopes, densities and winds that is rounding
 RAMP = 15.0  # s before a border between runs, and after it, in which speed changes
-PIECE_SECONDS = 60.0  # that a step lasts at most: tyres and cabin warm up meanwhile
+PIECE_SECONDS = 60.0  # longest step, because tyres and cabin warm up
 
 
 class Path(NamedTuple):
@@ -82,7 +82,7 @@ def even_course(legs: Path, unknown: np.ndarray | None = None, piece: float = ma
     Args:
         legs: of one trip.
         unknown: m of each whose height is not known.
-        piece: m that a step is long at most.
+        piece: longest step, m.
     """
     run = runs_of(legs.duration, legs.distance)
     unknown = np.zeros_like(legs.duration) if unknown is None else unknown

@@ -1,9 +1,8 @@
 """Evidence of the data on a car: the posterior of its parameters with the prior taken out.
 
-A posterior is prior times data. The data of several cars may be combined, but their posteriors
-hold the same prior again and again, which would count as many times as there are cars. So a
-population rests on the likelihood: precision and information of the posterior less those of the
-prior.
+A posterior is prior times data. The data of several cars may be combined, but each posterior holds
+the same prior, which would count once per car. So a population rests on the likelihood: precision
+and information of the posterior less those of the prior.
 
 Everything is expressed in sigmas of the vehicle file about its values, z = (x - x0) / sigma0 with
 x the logarithms of the parameters, but for p_aux. So a direction without data has precision 0,
@@ -19,10 +18,10 @@ import numpy as np
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 
-LEAST_INFORMED = 0.1  # of the prior's variance; less is rounding, drift and forgetting
+LEAST_INFORMED = 0.1  # share of the prior's variance; less is rounding, drift and forgetting
 MOST_PRECISE = 1e-9  # of the prior's variance: a posterior narrower than this is no measurement
 SIZE = len(PARAMETER_NAMES)
-LINEAR = "p_aux"  # may be zero, so it is no logarithm
+LINEAR = "p_aux"  # may be zero, so its logarithm is not used
 
 
 @dataclass(frozen=True, slots=True)

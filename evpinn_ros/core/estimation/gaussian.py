@@ -52,7 +52,7 @@ def innovate(
 
 
 def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
-    """The state given a measurement, with extra variance, shape (...), of an outlier say."""
+    """The state given a measurement, with extra variance, shape (...), as of an outlier."""
     gain = seen.along / (seen.variance + extra)[..., None]
     mean = state.mean + gain * seen.residual[..., None]
     change = gain[..., :, None] * seen.along[..., None, :]
@@ -60,7 +60,7 @@ def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
 
 
 def replace_states(state: Gaussian, variances: Mapping[Any, Any]) -> Gaussian:
-    """The state with some entries forgotten: zero, uncorrelated, of these variances by index."""
+    """The state with some entries replaced by zero, uncorrelated, with variances by index."""
     mean, covariance = state.mean.copy(), state.covariance.copy()
     for index, variance in variances.items():
         mean[..., index] = 0.0
@@ -78,9 +78,9 @@ def mixture(weights: np.ndarray, state: Gaussian) -> Gaussian:
 
 
 def at_least_zero(state: Gaussian, entries: Sequence[int]) -> np.ndarray:
-    """Likeliest mean, shape (n,), of one state some entries of which cannot be negative.
+    """Likeliest mean, shape (n,), if some entries cannot be negative.
 
-    The others move with them as the covariance says: a sum that is known stays as it is. An active
+    The other entries move by their covariance, so a sum that is known stays as it is. An active
     set of conditions (Nocedal and Wright, Numerical Optimization, 16.5).
     """
     mean, covariance = state
@@ -99,13 +99,13 @@ def at_least_zero(state: Gaussian, entries: Sequence[int]) -> np.ndarray:
 
 
 def outlier_variance(seen: Innovation, noise: np.ndarray, limit: float) -> np.ndarray:
-    """Variance that takes an innovation beyond `limit` sigmas for a heavy tail (Huber, 1964)."""
+    """Extra variance of an innovation beyond `limit` sigmas: a heavy tail (Huber, 1964)."""
     beyond = np.maximum(1.0, np.abs(seen.residual) / (limit * np.sqrt(seen.variance)))
     return np.asarray(noise * (beyond**2 - 1.0))
 
 
 def is_possible(state: Gaussian) -> bool:
-    """True if mean and covariance are finite, of a size, symmetric and not negative."""
+    """True if mean and covariance are finite, not too large, symmetric and not negative."""
     mean, covariance = state
     if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
         return False

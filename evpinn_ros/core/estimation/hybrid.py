@@ -6,9 +6,9 @@ are learned from energies of intervals (the weak form), once a second on the int
 in it, in a thread beside the callbacks. Since all is linear, updates one after another are the
 same estimate as a solve over the window of all intervals with the prior as its arrival cost.
 
-Published power has a trim beside it (`estimation.trim`): what the last seconds had beyond the
-car. During a battery dropout the trim fades, and the energy since the battery was last measured is
-that of the posterior, with its exact variance, and what the trim gave until it had faded.
+Published power also has a trim (`estimation.trim`): the error of the model in the last seconds.
+During a battery dropout the trim fades. The energy since the battery was last measured is that of
+the posterior, with its exact variance, plus that of the fading trim.
 
 A span of samples is predicted and learned from in arrays; only the trim goes sample by sample.
 """
@@ -66,9 +66,9 @@ from evpinn_ros.core.signals.track import NEVER
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
-SAMPLE_STEP = 0.1  # s that the first sample stands for
-PARKED_NS = 600 * NANOSECONDS  # without speed, then it is another drive
-SILENT_NS = NANOSECONDS  # without the battery, then energy is predicted
+SAMPLE_STEP = 0.1  # s that the first sample represents
+PARKED_NS = 600 * NANOSECONDS  # without speed, after which another drive begins
+SILENT_NS = NANOSECONDS  # without the battery, after which energy is predicted
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         self._last_ns: int | None = None  # of what was learned from
         self._seen_ns: int | None = None  # of what was predicted
         self.gated: Counter[str] = Counter()
-        # What the present car publishes, suspected or not, and its drive, once asked for.
+        # Parameters of the present car, suspected or not, and its drive, computed when asked for.
         self._judged: tuple[bool, ParameterSet] | None
         self._together: Breakdowns | None
         self._forget_seconds()
@@ -115,9 +115,9 @@ class HybridLearner(Saveable[SavedHybrid]):
     def follow(self, span: Span) -> Predictions:
         """Predict the samples of a span, each by what was learned before it, and learn.
 
-        After a pause of `PARKED_NS`, or before what was last seen, the road is another. It is
-        another drive when the two are that far apart: a clock that is set right by some seconds
-        ends none.
+        After a pause of `PARKED_NS`, or if stamps go back, the road is another one. If the gap is
+        `PARKED_NS` or more in either direction, so is the drive: a clock that is corrected by some
+        seconds ends no drive.
         """
         parts: list[Predictions] = []
         while True:
@@ -177,7 +177,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         return power if self._regenerates else max(power, 0.0), math.sqrt(variance)
 
     def _possible(self, power: np.ndarray) -> np.ndarray:
-        """Power, W: none flows into a battery that braking was never seen to charge."""
+        """Power, W; not negative for a battery that braking was never seen to charge."""
         return power if self._regenerates else np.maximum(power, 0.0)
 
     def _car_power(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
@@ -269,7 +269,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         return lambda: car.after(intervals)
 
     def consider(self, candidate: LearnedCar) -> str | None:
-        """Take the result of an update, unless it is not finite or of a drive that ended."""
+        """Take the result of an update, unless it is not finite or its drive has ended."""
         if not candidate.is_finite():
             return "not_finite"
         if candidate.stretches != self._car.stretches:
@@ -339,7 +339,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         self._use(self._car.begin_drive(compare=self._keep_drives, goes_on=goes_on))
 
     def saved(self) -> SavedHybrid:
-        """What was learned of the car, without the road and the seconds of now."""
+        """What was learned of the car, without the present road and the last seconds."""
         return SavedHybrid(
             car=saved_state(self._car.judged()),
             uneven=self._car.uneven(),
@@ -377,7 +377,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         self._judged = self._together = None
 
     def _step(self, stamp_ns: int) -> float:
-        """Seconds a measured sample stands for."""
+        """Seconds that a measured sample represents."""
         last, self._last_ns = self._last_ns, stamp_ns
         if last is None:
             return SAMPLE_STEP

@@ -15,8 +15,8 @@ from evpinn_ros.core.signals.sample import NO_SAMPLES, Samples, joined_samples
 from evpinn_ros.core.signals.track import NEVER
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 
-LOAD_TIME = 300.0  # s in which the wandering load forgets itself
-# Energy that no state explains, which forgets itself in `NOISE_TIME`: W, and N while moving.
+LOAD_TIME = 300.0  # s, time constant of the wandering load
+# Energy that no state explains, correlated within `NOISE_TIME`: W, and N while moving.
 NOISE_TIME, POWER_NOISE, FORCE_NOISE, TORQUE_NOISE = 1.5, 150.0, 40.0, 30.0
 MAX_STEP = 10.0  # s that one sample may stand for
 SAMPLES_KEPT = 1000  # that are remembered at least: intervals wait up to a minute for heights
@@ -38,16 +38,16 @@ class Journey(NamedTuple):
     unseen: Any
 
     def plus(self, other: Journey) -> Journey:
-        """Both, one after the other."""
+        """The journey followed by another."""
         row, noise = self.row + other.row, self.noise + other.noise
         return Journey(row, self.seconds + other.seconds, noise, self.unseen + other.unseen)
 
     def less(self, other: Journey) -> Journey:
-        """Without a part of it."""
+        """The journey without a part of it."""
         return self.plus(other.share(-1.0))
 
     def share(self, share: float) -> Journey:
-        """A share of it."""
+        """A share of the journey."""
         row, noise = share * self.row, share * self.noise
         return Journey(row, share * self.seconds, noise, share * self.unseen)
 
@@ -82,8 +82,8 @@ def unexplained(
 ) -> tuple[Any, Any]:
     """Variance of energy that no state explains, at scale 1, J^2, while standing and moving.
 
-    They are kinds of their own, for how well the equation holds while driving, or the clocks of
-    speed and battery agree, says nothing about a car that stands.
+    They are separate kinds: errors of the equation and of the clocks while driving say nothing
+    about a car that stands.
 
     Args:
         seconds: s, any shape, numpy or torch.
@@ -109,8 +109,8 @@ def wandered(seconds: Any) -> tuple[Any, Any, Any]:
     """An Ornstein-Uhlenbeck process of variance 1 over so many s; any shape, numpy or torch.
 
     Returns:
-        What is left of its value; the integral that its value now leads to, s; the variance of
-        the rest of the integral, s^2.
+        The share of its value that is left; the integral expected from its present value, s; the
+        variance of the rest of the integral, s^2.
     """
     xp = namespace(seconds)
     left = xp.exp(-seconds / LOAD_TIME)
@@ -146,7 +146,7 @@ class Tail:
             self._join()
 
     def _join(self) -> None:
-        """Put what came later behind the rest, of which the latest are kept."""
+        """Append the samples that came since; only the latest are kept."""
         self._samples = joined_samples((self._samples, *self._later))
         self._later.clear()
         self._waiting = 0

@@ -43,12 +43,12 @@ LONGEST = 60.0  # s, of a saved lag
 
 LEAST_READINGS = 6  # of a block
 KNOWN, KNOWN_SHARE = 0.1, 0.1  # s, and of `smooth`: 1-sigma of a lag that is known
-SIGMAS = 3.0  # that a lag is away from zero where it is applied
-# Of the time that both are averaged over, shortest lag that is applied: 0.2 s at 10 Hz. Recorded
-# cars whose lag is below have nothing to gain, and that of a polled log is not known better.
+SIGMAS = 3.0  # distance from zero at which a lag is applied
+# Shortest lag that is applied, over the time of averaging: 0.2 s at 10 Hz. Recorded cars with a
+# shorter lag gain nothing, and that of a polled log is not known better.
 LEAST_SHARE = 0.4
 LARGE = 0.5  # s, beyond which the lag is a fault to be mended, and parameters wait for it
-FURTHEST = -2.0, 5.0  # s: a battery that comes later than that is taken for a dropout
+FURTHEST = -2.0, 5.0  # s; a battery that comes later is a dropout
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +69,11 @@ class Lag:
 
     @property
     def large(self) -> bool:
-        """True if it surely is a fault, to be corrected where the stamps are made."""
+        """True if it surely is a fault, to be corrected in the source of the stamps."""
         return abs(self.seconds) > max(LARGE, self.least) + SIGMAS * self.sigma
 
     def less(self, shift: float) -> Lag:
-        """What a shift, s, leaves of it."""
+        """The lag that is left after a shift, s."""
         return replace(self, seconds=self.seconds - shift)
 
 
@@ -91,7 +91,7 @@ class LagBlock(NamedTuple):
 def lag_block(
     speed: np.ndarray, power: np.ndarray, start: float, step: float = STEP, smooth: float = SMOOTH
 ) -> LagBlock | None:
-    """Sums of the block that begins at a moment, s; None where the car does not speed up or slow.
+    """Sums of the block that begins at a moment, s; None where the speed is steady.
 
     Args:
         speed: rows of time, s, and speed, m/s, from `MOST` steps before it to as many after.
@@ -116,7 +116,7 @@ def lag_block(
 
 
 def lag_of(blocks: Sequence[LagBlock], step: float = STEP) -> Lag | None:
-    """The lag that blocks of a grid show together; None while they are few or show none."""
+    """The lag that blocks of a grid show together; None if they are few or show none."""
     count = len(blocks)
     if count < LEAST_BLOCKS:
         return None
@@ -313,7 +313,7 @@ class Aligner:
 
     @property
     def saved(self) -> Lag | None:
-        """The lag that is known, of this drive or of one before."""
+        """The known lag, of this drive or of an earlier one."""
         return self._learner.lag if self._learner.known else self._before
 
     @property
@@ -331,7 +331,7 @@ class Aligner:
         return block.with_rows(BatteryReading, rows._replace(stamps=rows.stamps + self.shift_ns))
 
     def learn(self, block: Block) -> Iterator[tuple[int, Alignment]]:
-        """Learn from shifted readings; yields stamps from which on something else is known."""
+        """Learn from shifted readings; yields the stamps at which the known lag changes."""
         battery = block.of_kind(BatteryReading)
         battery = battery._replace(stamps=battery.stamps - self.shift_ns)
         for stamp_ns in self._learner.extend(block.of_kind(SpeedReading), battery):

@@ -70,7 +70,7 @@ class Span:
         return self.newest.size, self.smoothed.size, self.measured.size
 
     def part(self, begins: tuple[int, int, int], ends: tuple[int, int, int]) -> Span:
-        """From so many newest, smoothed and measured samples to before others."""
+        """The part between counts of newest, smoothed and measured samples."""
         if begins == (0, 0, 0) and ends == self.sizes:
             return self
         newest, smoothed, measured = (slice(a, b) for a, b in zip(begins, ends, strict=True))
@@ -123,7 +123,7 @@ class LearnerReport(NamedTuple):
 class Learner(Protocol):
     """A mode of learning. Time enters only through the samples' stamps.
 
-    What a mode need not do has a body here: who derives from this does none of it.
+    Optional methods have a body here that does nothing.
     """
 
     gated: Counter[str]
@@ -137,7 +137,7 @@ class Learner(Protocol):
         """Power and its 1-sigma, W, at a sample by what is learned now."""
 
     def add_interval(self, interval: Interval) -> bool:
-        """Take an interval, its battery measured or not; gives whether an update is due."""
+        """Take an interval, its battery measured or not; returns whether an update is due."""
         return False
 
     def prepare_update(self) -> Callable[[], Any] | None:
@@ -180,14 +180,14 @@ class Learner(Protocol):
         """Drop recent samples after a jump of time; keep what was learned."""
 
     def end_drive(self) -> None:
-        """Let what comes be another drive, wherever its stamps lie."""
+        """Begin another drive, whatever its stamps."""
         return
 
     def saved(self) -> Any:
         """State to save (see `common.saved_fields`)."""
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from a saved state; ValueError when it is not possible."""
+        """Go on from a saved state; ValueError if it does not fit."""
 
 
 def gates(samples: Samples, power: np.ndarray) -> list[str | None]:

@@ -6,10 +6,10 @@ Battery power of a moving car is that of eq. 21 plus v N(v, f), with
 
 eq. 1 of the paper with one hidden layer. The inner weights a, b are drawn once; the outer weights
 w are states in the same posterior as the physics and learned from the same energies (a Bayesian
-last layer over random features). The force of a unit holds nothing that the terms of eq. 21 could
-explain over a reference of driving: its share of them is taken away, so that a state of the
-physics is a parameter and no unit competes with it. What is left of `UNITS` units is turned to
-its `states.NETWORK` strongest directions, which hold all but a thousandth of it.
+last layer over random features). What the terms of eq. 21 explain of a unit over reference driving
+is subtracted from it, so that no unit competes with a parameter of the physics. The rest of
+`UNITS` units is projected on its `states.NETWORK` strongest directions, which hold all but a
+thousandth of it.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def orthogonal_network(
 
     Args:
         seed: of the inner weights.
-        driving: that this holds over, n moments.
+        driving: over which this holds, n moments.
         force: at the wheels over the mass there, m/s^2, shape (n,).
         terms: of eq. 21 there, W per unit of their coefficient, shape (n, 4).
     """
@@ -99,9 +99,9 @@ def orthogonal_network(
 
 
 def share_of_terms(driving: Driving, terms: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Coefficients of the terms that come nearest to powers, W, over some driving; (4, k).
+    """Coefficients of the terms that come nearest to powers, W, over driving; shape (4, k).
 
-    Least squares by time, each term over its size, for they differ by powers of ten.
+    Least squares over time; terms are scaled, because they differ by powers of ten.
     """
     root = np.sqrt(driving.seconds)[:, None]
     size = np.sqrt((driving.seconds @ terms**2) / driving.seconds.sum())

@@ -1,4 +1,4 @@
-"""What the estimator says of a block of readings."""
+"""Outputs of the estimator for a block of readings."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class PowerRows(NamedTuple):
         return cls(known_ns, stamp_ns, power, sigma, unknown, unknown)
 
     def times(self, size: float) -> PowerRows:
-        """Those of a car of another size (`estimation.size`)."""
+        """The powers scaled to a vehicle of another size (`estimation.size`)."""
         if size == 1.0:
             return self
         return PowerRows._make((*self[:2], *(size * column for column in self[2:])))
@@ -54,7 +54,7 @@ NO_POWERS = PowerRows(np.empty(0, np.int64), np.empty(0, np.int64), *np.empty((4
 
 
 class Learned(NamedTuple):
-    """The parameters after a second of stamps, and what else is known of the car then.
+    """The parameters after a second of stamps, and the other estimates then.
 
     Attributes:
         known_ns: stamp of the speed that ended the second.
@@ -72,10 +72,10 @@ class Learned(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What an estimator says of a block.
+    """Outputs of an estimator for a block.
 
     Attributes:
-        measured: power that the battery readings measure, when they come.
+        measured: power of the battery readings, in order of arrival.
         predicted: at the newest moments, by causal acceleration.
         smoothed: at the moments `smoothing_lag` back.
         learned: once a second.

@@ -16,10 +16,10 @@ from evpinn_ros.core.signals.detector import FAR_FROM_PRIOR
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, POWERS, Identifiable
 from evpinn_ros.core.vehicle.parameters import LIMITS, PARAMETER_NAMES, Limits
 
-ESTIMATING_BELOW = 0.95  # of the prior's variance left in the combination, then learning shows
-VALID_BELOW = 0.25  # then the data determine the combination
-OWN_VALID_BELOW = 0.5  # of the parameter's own prior variance: more is mostly prior
-UNOBSERVABLE_ABOVE = 0.9  # then the data cannot determine the parameter
+ESTIMATING_BELOW = 0.95  # share of the prior's variance left in a combination that is learned
+VALID_BELOW = 0.25  # share left in one that the data determine
+OWN_VALID_BELOW = 0.5  # share of the parameter's own prior variance; more is mostly prior
+UNOBSERVABLE_ABOVE = 0.9  # own share left of a parameter that the data cannot determine
 RESTS_ON = {
     "eta": "mass_over_eta",
     "mu": "regeneration",
@@ -29,11 +29,11 @@ RESTS_ON = {
     "p_aux": "p_aux",
 }
 BOUND_SIGMAS = 2.0
-INTERVAL = (0.025, 0.975)  # of the posterior of what cannot exceed 1
-STAYS_BELOW = 1.6  # times the limit of a share, until which trust that holds goes on holding
+INTERVAL = (0.025, 0.975)  # of the posterior of parameters that cannot exceed 1
+STAYS_BELOW = 1.6  # times the limit of a share, up to which a status stays
 OWN_STAYS_BELOW = 1.1  # times the limit of its own share, likewise
 TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads
-# Values that cars have; outside a parameter is never valid.
+# Values of real cars; outside, a parameter is never valid.
 POSSIBLE = {"c_rr": TYRES, "c_d": Limits(0.15, 1.0), "eta": Limits(0.0, 0.995)}
 MOST_UNSURE = 0.25  # of the value, 1-sigma, beyond which it is never valid
 RELIABLE_NEEDS = ("mass_over_eta", "regeneration")
@@ -101,10 +101,10 @@ def identifiable_shares(source: Published) -> Identifiable:
 
 
 class TrustHysteresis:
-    """Hysteresis of trust: one that holds goes on holding a little beyond where it began."""
+    """Hysteresis of trust: a status stays until a little beyond the limit where it began."""
 
     def __init__(self) -> None:
-        """No parameter has been judged."""
+        """Start before any parameter was judged."""
         self._trust: dict[str, Trust] = {}
 
     def judge(
@@ -160,7 +160,7 @@ def _combined(source: Published) -> dict[str, _Combined]:
         std = math.sqrt(max(0.0, variance))
         share = variance / before if before > 0.0 else 1.0
         if name == "regeneration" and not source.regenerates:
-            share = 1.0  # what the learned value says of it is that the equation has no such car
+            share = 1.0  # the equation has no car with the learned value
         if name in ("c_rr", "p_aux"):
             combinations[name] = _Combined(mean, std, share)
         else:
@@ -227,7 +227,7 @@ def _trust(combined_share: float, own_share: float, *, possible: bool) -> Trust:
 
 
 def _possible(name: str, value: float, *, hills_seen: bool) -> bool:
-    """False for a value that no car has, and for C_rr where a climb would look like it."""
+    """False for a value that no car has, and for C_rr if unknown climbs look like it."""
     if name == "c_rr" and not hills_seen:
         return False
     limits = POSSIBLE.get(name)

@@ -1,7 +1,7 @@
-"""Payload that came or went between two drives: `State.MASS_DRIVE` of one against the other's.
+"""Change of payload between two drives: the difference of their `State.MASS_DRIVE`.
 
-The load of a drive is a state, so what is learned of the car counts it neither as mass nor as
-rolling resistance. Absolute, it is as unsure as the mass of the car; its change is not.
+The load of a drive is a state of its own, so it is learned neither as mass of the car nor as
+rolling resistance. Its value is as unsure as the mass of the car; its change is surer.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Payload:
     Attributes:
         before: of the drive before; None before the second.
         begin_ns: stamp of this drive's begin, None before its first interval.
-        change: of this drive, None while there is none beyond chance.
+        change: of this drive, None while it is within chance.
     """
 
     before: Load | None = None
@@ -56,7 +56,7 @@ class Payload:
         return PAYLOAD if self.change is not None else None
 
     def after(self, state: CarState, equation: Equation, begin_ns: int) -> Payload:
-        """With what this drive shows up to the end of an interval that begins at a stamp."""
+        """The payload after one more interval of this drive, which begins at a stamp."""
         begin_ns = begin_ns if self.begin_ns is None else self.begin_ns
         change = self.change
         if self.before is not None:

@@ -1,4 +1,4 @@
-"""What the battery last gave beside the prediction: it holds for some tenths of a second.
+"""The error of the last battery reading, added to predictions while it decays.
 
 The trim (`estimation.trim`) rests on what was known up to the watermark, some tenths of a second
 ago. Errors of neighbouring samples are alike: in drives of three cars 64 to 86 % of an error is
@@ -15,16 +15,16 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 DECAY = 0.3  # s
 FORGOTTEN = 10.0 * DECAY  # s
-OUTLIER = 3.0  # sigmas beyond which an error counts for no more
-MOST_KEPT = 500  # predictions, which battery readings may lie between
+OUTLIER = 3.0  # sigmas at which errors are cut off
+MOST_KEPT = 500  # predictions kept, between which battery readings may lie
 LEAST_SIGMA = 0.2  # of that of the prediction: a sensor and its stamp err too
 
 
 class Persistence:
-    """Adds to predictions what the battery had beside them."""
+    """Adds the decaying error of the newest battery reading to predictions."""
 
     def __init__(self) -> None:
-        """Nothing predicted."""
+        """Start without a prediction."""
         self._latest: deque[tuple[int, float]] = deque(maxlen=MOST_KEPT)
 
     def add(
@@ -37,7 +37,7 @@ class Persistence:
             power: predicted, W.
             sigma: its 1-sigma, W.
             told_ns: stamp of the newest battery reading before the sample, ns.
-            told: its power, W, NaN where there is none to go by.
+            told: its power, W; NaN if there is none.
         """
         self._latest.append((stamp_ns, power))
         age = (stamp_ns - told_ns) / NANOSECONDS

@@ -1,15 +1,15 @@
 """The posterior of a car: physics and network in one Gaussian, for each hypothesis of a bank.
 
-A `CarState` is a value: nothing in it is changed, so a copy is a reference, and what predicts
-without the battery or tries another mass simply goes on from one. The functions are pure:
+A `CarState` is a value that never changes, so a copy is a reference: predictions without the
+battery go on from one. The functions are pure:
 
-- `advance` lets time pass: the wandering load forgets itself (Ornstein and Uhlenbeck);
+- `advance` lets time pass: the wandering load decays (Ornstein and Uhlenbeck);
 - `update` learns from a measured energy (a Kalman filter's update);
 - `learn` does both, for an interval and what the bus reported in it.
 
-All is linear, so one update after another is the same estimate as one solve over a window of
-intervals with what is older as its arrival cost. The hypotheses of the bank differ in the sizes
-of network and wandering load, which no car knows beforehand, and are weighted by their evidence.
+The model is linear, so successive updates give the same estimate as one solve over a window of
+intervals with older data as its arrival cost. The hypotheses of the bank differ in the sizes of
+network and wandering load, which are not known beforehand, and are weighted by their evidence.
 """
 
 from __future__ import annotations
@@ -51,19 +51,19 @@ from evpinn_ros.core.vehicle.physics import GRAVITY
 # The hypotheses: 1-sigma of a weight of the network, N, and of the wandering load, W.
 NETWORK_STDS, LOAD_STDS = (20.0, 150.0), (30.0, 150.0)
 BANK = np.array(list(product(NETWORK_STDS, LOAD_STDS)))
-LARGE_NETWORK_ODDS = 7.0  # of logarithm, against a large network at first: first drives are wild
+LARGE_NETWORK_ODDS = 7.0  # initial log odds against a large network, which errs in first drives
 EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 
 SCALE_INTERVALS = 30.0  # over which a scale of the noise is learned
 LEAST_SCALE, MOST_SCALE = 0.05, 2000.0
 OUTLIER = 2.5  # sigmas
-SPARSE = 2.0  # s between speeds, from here on driving between them is not seen
+SPARSE = 2.0  # s between speeds from which on driving between them is not seen
 
-DRIFT = 0.02  # of its prior sigma, by which a state of the car changes from drive to drive
-# Of an offset that the next drive still has: the season, a roof box; who sits in the car.
+DRIFT = 0.02  # share of its prior sigma by which a state of the car changes between drives
+# Share of an offset that the next drive keeps: of season and roof box; of people.
 DRIVE_KEPT = {State.ROLLING_DRIVE: 0.9, State.MASS_DRIVE: 0.0, State.LOAD_DRIVE: 0.9}
 LOSS_SHOWN = 100.0  # s of a drive in which its offsets show a third of `LOSS_DRIVE`
-PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # that the prior of an offset counts as, and at most
+PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # drives that the prior of an offset counts as; at most
 MOST_EVIDENCE = 1e15
 Seconds: TypeAlias = Annotated[float, Range(0.0, 1e9)]
 Celsius: TypeAlias = Annotated[float, Range(*TEMPERATURES)]
@@ -80,7 +80,7 @@ class CarState:
         evidence: logarithm of the odds of each hypothesis, shape (K,).
         scale: of the noise, by its kinds, shape (K, 3).
         offset_variance: of `OFFSETS` from drive to drive, shape (len(OFFSETS),).
-        bands: how far predicted energies are to be trusted.
+        bands: scales of predicted energies by rehearsals.
         drives: how many `offset_variance` rests on.
         intervals: learned from in this drive.
         seconds: of this drive.
@@ -129,7 +129,7 @@ class CarState:
         return np.asarray(BANK[:, 1] ** 2)
 
     def model(self, equation: Equation) -> CarModel:
-        """The car as predictions from here on take it."""
+        """The car for predictions from here on."""
         whole = self.mixture()
         mean, covariance = at_least_zero(whole, HEATING), whole.covariance
         covariance[State.LOSS_DRIVE, State.LOSS_DRIVE] *= math.exp(-self.seconds / LOSS_SHOWN)
@@ -148,17 +148,17 @@ class CarState:
         )
 
     def _trust(self) -> float:
-        """Factor of the variance of energy; of a car never driven the prior is wide as it is."""
+        """Factor of the variance of energy; 1 before any drive: the prior is wide."""
         if self.intervals:
             return self.bands.dropout.scale
         return self.bands.drive.scale if self.known else 1.0
 
     def with_gaussian(self, now: Gaussian, **others: Any) -> CarState:
-        """With another mean and covariance, and other values of these fields."""
+        """The state with another mean and covariance, and other values of these fields."""
         return replace(self, mean=now.mean, covariance=now.covariance, **others)
 
     def forgetting(self, variances: Mapping[State, Any]) -> CarState:
-        """With some states at zero, of these variances."""
+        """The state with some states at zero, with these variances."""
         return self.with_gaussian(replace_states(self.gaussian, variances))
 
 
@@ -240,7 +240,7 @@ def _sampling_variance(state: CarState, done: IntervalTerms) -> float:
 
 
 def advance(state: CarState, seconds: float, unseen: float = 0.0) -> CarState:
-    """Let time, s, and road, m without height, pass: fast energies are those of this journey."""
+    """Let time, s, and road without height, m, pass; fast energies restart with this journey."""
     left, integral, rest = wandered(seconds)
     load, energy, climb = State.LOAD, State.LOAD_ENERGY, State.CLIMB
     mean, covariance = state.mean.copy(), state.covariance.copy()
@@ -269,10 +269,10 @@ def update(
     `sampling` is its variance due to the rate of its readings, J^2.
     """
     row = journey.row.copy()
-    # The motor's energy holds the climb already, where it is known.
+    # Where the motor's energy is known, it includes the climb.
     climbs = 0.0 if journey.noise[2] else 1.0
     row[State.LOAD], row[State.LOAD_ENERGY], row[State.CLIMB] = 0.0, 1.0, climbs
-    row[State.LOSS_DRIVE] = 0.0  # in a drive it is none of the others: it counts for whole ones
+    row[State.LOSS_DRIVE] = 0.0  # not separable within a drive; it counts for whole drives
     own = state.scale * journey.noise
     state, seen = _see(state, row, energy - state.mean @ row, own.sum(1) + sampling)
     state = _judge(state, seen, own)
@@ -283,7 +283,7 @@ def update(
 
 
 def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
-    """Learn from the motor's energy what the wheels take, whatever the battery gave.
+    """Learn the work of the wheels from the motor's energy, without the battery.
 
     `rows` are those of `Equation.motor_rows`; `square` is the integral of speed squared, m^2/s.
     """
@@ -295,10 +295,10 @@ def see_motor(state: CarState, rows: np.ndarray, square: float) -> CarState:
 
 
 def begin_drive(state: CarState, equation: Equation, *, keep: float = 1.0) -> CarState:
-    """Another drive: other offsets, of which some is as it was; the car has drifted a little.
+    """The state at the start of another drive: offsets keep a part, the car drifts a little.
 
     `keep` is the share of `DRIVE_KEPT` that stays of the offsets. Their variance is learned from
-    the drive that was (expectation maximisation with a prior of `PRIOR_DRIVES` drives).
+    the last drive (expectation maximisation with a prior of `PRIOR_DRIVES` drives).
     """
     if not state.intervals:
         return forget_road(replace(state, seconds=0.0))
@@ -325,26 +325,26 @@ def begin_drive(state: CarState, equation: Equation, *, keep: float = 1.0) -> Ca
 
 
 def forget_road(state: CarState) -> CarState:
-    """After a jump of time: the load that wandered is another."""
+    """The state after a jump of time: the wandering load is unknown again."""
     return forget_present(state.forgetting({State.LOAD: state.load_variance}))
 
 
 def forget_present(state: CarState) -> CarState:
-    """Leave fast energies of the last journey out of the sums of the drive: it was a dropout."""
+    """Leave fast energies of a dropout out of the sums of the drive."""
     return state.forgetting({State.LOAD_ENERGY: 0.0, State.CLIMB: 0.0})
 
 
 def _see(
     state: CarState, row: np.ndarray, residual: np.ndarray, noise: np.ndarray
 ) -> tuple[CarState, Innovation]:
-    """Condition every hypothesis on one measurement, beyond `OUTLIER` with a heavy tail."""
+    """Condition every hypothesis on one measurement; outliers count less (heavy tail)."""
     seen = gaussian.innovate(state.gaussian, row, residual, noise)
     extra = gaussian.outlier_variance(seen, noise, OUTLIER)
     return state.with_gaussian(gaussian.condition(state.gaussian, seen, extra)), seen
 
 
 def _judge(state: CarState, seen: Innovation, noise: np.ndarray) -> CarState:
-    """Weigh the hypotheses by the evidence, and learn the scale of the noise that counts most."""
+    """Weigh the hypotheses by their evidence, and learn the scale of the dominant noise."""
     square = seen.residual**2 / seen.variance
     likelihood = -0.5 * (np.minimum(square, 2 * OUTLIER**2) + np.log(seen.variance))
     evidence = state.evidence * (1.0 - 1.0 / EVIDENCE_KEPT) + likelihood

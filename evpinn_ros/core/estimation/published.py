@@ -39,19 +39,19 @@ from evpinn_ros.core.estimation.terms import (
 )
 from evpinn_ros.core.signals.road import Conditions
 
-DRIVING_MEMORY = 36_000.0  # s over which driving is remembered
-# Power that no state explains, as density, W^2 s: with less the projection is not determined.
+DRIVING_MEMORY = 36_000.0  # s, time constant with which driving is forgotten
+# Density of unexplained power, W^2 s; with less the projection is not determined.
 NOISE_DENSITY = 2.7e5
 # By likelihood of the parameters of 72 simulated drives that no benchmark scores.
 REFERENCE_SECONDS = 200.0
-SHARE_RANGE = (0.3, 3.0)  # of braking energy found over that of the prior; no car leaves it
-FIRST_METRES = 1000.0  # of a drive that are judged with the road of the drive before
-LEAST_RETURNED = 0.01  # of braking energy: a current that is a little off zero gives as much
-BRAKED_FLOOR = 5e4  # J: less braking is no base for a share
-# An efficiency is a map, and one number for it depends on the road: 1-sigma of the logarithm that
-# is left however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
+SHARE_RANGE = (0.3, 3.0)  # of braking energy over that of the prior; no car is outside
+FIRST_METRES = 1000.0  # of a drive, judged by the road of the drive before
+LEAST_RETURNED = 0.01  # of braking energy; an offset of the current may give as much
+BRAKED_FLOOR = 5e4  # J of braking; less gives no share
+# An efficiency is a map, so a single number depends on the road: least 1-sigma of the logarithm,
+# however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
 MAP_STD = (0.003, 0.015)  # of eta, mu
-CLIMB_AS_DRAG = 0.005  # rolling resistance that an e-fold of drag looks like, in town
+CLIMB_AS_DRAG = 0.005  # C_rr that an e-fold of drag looks like in town
 ETA, MU, MASS, C_RR, C_D, P_AUX = range(6)
 LOGARITHMIC = [ETA, MU, MASS, C_D]
 
@@ -86,7 +86,7 @@ class Driven:
 
     @classmethod
     def nowhere(cls) -> Driven:
-        """Sums over no step, with the names of this version."""
+        """Sums before any driving."""
         return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3), returned=0.0)
 
     def of_this_version(self) -> Driven:
@@ -99,7 +99,7 @@ class Driven:
         return replace(self, cross=columns[:, BESIDE], names=Driven.nowhere().names)
 
     def plus(self, done: IntervalTerms) -> Driven:
-        """With one more interval; of one with motor torque the way alone: its rows differ."""
+        """The sums with one more interval; with motor torque its rows differ, so only the way."""
         interval, wheels = done.interval, done.wheels
         now = self._farther(abs(interval.distance), float(done.warmth.tyres), unseen_of(interval))
         if interval.steps.motor_known:
@@ -132,11 +132,11 @@ class Driven:
         return replace(self, distance=whole, cold_tyres=cold, unseen=share)
 
     def next_drive(self) -> Driven:
-        """On another drive, with other tyres and weather."""
+        """The sums at the start of another drive, with other tyres and weather."""
         return replace(self, distance=0.0, cold_tyres=0.0)
 
     def share(self, equation: Equation) -> np.ndarray:
-        """Part that eq. 21 has of one unit of each state of `BESIDE`, shape (4, len(BESIDE))."""
+        """What the terms of eq. 21 explain of one unit of each of `BESIDE`, (4, len(BESIDE))."""
         gram = self.gram + REFERENCE_SECONDS * equation.reference_gram
         return project(gram, self.cross, equation)
 
@@ -149,7 +149,7 @@ class Driven:
         return float(np.clip(before / braked_energy, *SHARE_RANGE))
 
     def regenerates(self, equation: Equation) -> bool:
-        """False where the car braked and next to nothing of it came back: mu is not seen."""
+        """False if the car braked and almost nothing came back, so that mu is not observed."""
         braked = -float(self.braked @ equation.mean[PHYSICS[:3]])
         return self.returned is None or self.returned >= LEAST_RETURNED * braked
 
@@ -158,7 +158,7 @@ def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarr
     """Changes of the coefficients of eq. 21 that come nearest to energies, shape (4, k).
 
     Least squares of power with the prior of the coefficients, beside noise of `NOISE_DENSITY`:
-    what the driving does not determine (drag in town) stays as it was.
+    coefficients that the driving does not determine (drag in town) stay at their prior.
 
     Args:
         gram: products of the terms of eq. 21 over the duration of their steps, shape (4, 4).
@@ -187,11 +187,11 @@ class Published(NamedTuple):
 
 
 def published(state: CarState, equation: Equation, driven: Driven) -> Published:
-    """The parameters that a state stands for, no surer than a map of efficiency allows."""
+    """The parameters of a state, with at least the sigma of an efficiency map."""
     celsius = None if driven.load_known else state.celsius
     now = _pushed(state.mixture(), equation, driven, celsius)
     before = _pushed(_prior(state, equation), equation, driven, celsius)
-    # On real roads errors of neighbouring intervals are alike, which rehearsed dropouts show.
+    # On real roads errors of neighbouring intervals are correlated, as rehearsed dropouts show.
     most = np.diag(before.covariance) / np.diag(now.covariance)
     grow = np.sqrt(np.clip(most, 1.0, max(1.0, state.bands.dropout.seen)))
     now = now._replace(covariance=now.covariance * np.outer(grow, grow))
@@ -229,7 +229,7 @@ def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence
     values, rows = _linear(whole.mean, equation, driven, celsius)
     c_rr = max(float(values[C_RR]), 1e-4)
     rows[C_RR], values[C_RR] = rows[C_RR] / c_rr, math.log(c_rr)
-    # Both about the same mean: what data cannot tell has to have the same variance in both.
+    # Both about the same mean: directions without data must have the same variance in both.
     now = Gaussian(values, rows @ whole.covariance @ rows.T)
     before = Gaussian(values + rows @ (prior.mean - whole.mean), rows @ prior.covariance @ rows.T)
     for index, std in enumerate(MAP_STD):

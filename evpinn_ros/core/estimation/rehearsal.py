@@ -1,9 +1,9 @@
-"""Rehearsals: dropouts of the battery that did not happen, and drives predicted at their start.
+"""Rehearsals: simulated dropouts of the battery, and whole drives predicted at their start.
 
 While the battery is measured, predictions are made without it: of the next 60 and 200 s, and of
-each whole drive from what the drives before taught. Then they are compared with the energy drawn.
-A car's state is a value, so a rehearsal needs no filter of its own: it keeps the state from which
-it began and the sums of what was driven since.
+each whole drive from the drives before it. Then they are compared with the energy drawn. A car's
+state is a value, so a rehearsal needs no filter of its own: it keeps the state from which it began
+and sums over the driving since.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.terms import Equation
 
 LENGTHS = (60.0, 200.0)  # s of a rehearsed dropout; the longer ones scale the band
-LEAST_SPEED = 2.5  # m/s in the mean of a dropout; a car that stands proves nothing
+LEAST_SPEED = 2.5  # m/s, mean of a dropout that counts; a standing car shows nothing
 LEAST_SPEED_SHARE = 0.25  # of the nominal speed, which is less for a robot
 LEAST_DRIVE_METRES = 500.0  # of a whole drive that is compared
 
 
 class Rehearsal(NamedTuple):
-    """A dropout that did not happen: the car as it was, what it has driven since, J drawn."""
+    """A simulated dropout: the car at its start, the driving since, and the energy drawn, J."""
 
     state: CarState
     journey: Journey = NOWHERE
@@ -34,11 +34,11 @@ class Rehearsal(NamedTuple):
     drawn: float = 0.0
 
     def predicted(self, equation: Equation) -> PredictedEnergy:
-        """Energy of it, by the car as it was."""
+        """Its energy, predicted by the car at its start."""
         return self.state.model(equation).energy(self.journey)
 
     def plus(self, journey: Journey, way: float, drawn: float) -> Rehearsal:
-        """With one more measured interval."""
+        """The rehearsal with one more measured interval."""
         return Rehearsal(
             self.state, self.journey.plus(journey), self.way + way, self.drawn + drawn
         )
@@ -67,9 +67,9 @@ class Rehearsals:
         return Rehearsals(self.drive.plus(journey, way, drawn), running), bands
 
     def end_drive(self, state: CarState, equation: Equation) -> CarState:
-        """The state with what the drive that ends here says of predictions of whole drives.
+        """The state whose bands have the error of the drive that ends here, predicted whole.
 
-        The first one judges nothing that was learned.
+        The first drive counts for nothing, because nothing was learned before it.
         """
         before, journey, way, drawn = self.drive
         if before.intervals or not before.known or way < LEAST_DRIVE_METRES:

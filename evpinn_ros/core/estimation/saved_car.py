@@ -1,4 +1,4 @@
-"""A car as it is saved: with names of its states, so that a new one voids no file."""
+"""A car as it is saved: with the names of its states, so that a new state voids no file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from evpinn_ros.core.estimation.posterior import CarState, initial_state
 from evpinn_ros.core.estimation.states import LASTING, NAMES, OFFSETS, SIZE, known_names
 from evpinn_ros.core.estimation.terms import Equation
 
-MOST_AWAY = 30.0  # prior sigmas, further no state was ever learned
+MOST_AWAY = 30.0  # prior sigmas; no state was ever learned further away
 
 
 def saved_state(state: CarState) -> CarState:

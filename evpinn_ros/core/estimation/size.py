@@ -3,9 +3,9 @@
 The one equation (`estimation.terms`) is linear in energy: with mass, drag area and loads times k
 the energy of the same driving is k times as much. So what is known of cars in W, N, J and kg (the
 priors of loads, noise, the thresholds of detectors) holds for a robot of 60 kg as well, once its
-energies are taken times the mass of a car over its own. `Similarity` does that at both ends of the
-estimator: readings on the way in, estimates on the way out. What lies between knows cars alone.
-Speeds and accelerations stay as they are.
+energies are multiplied by the mass of a car over its own. `Similarity` does that at both ends of
+the estimator: to readings on the way in, to estimates on the way out. Between them everything is a
+car. Speeds and accelerations stay as they are.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ EXTENSIVE_SUMS = ("mass_over_eta", "drag_area_over_eta", "p_aux")
 
 
 class Similarity:
-    """Way from a vehicle to the car that it is learned as, and back.
+    """Conversion of a vehicle to the car that it is learned as, and back.
 
     Attributes:
         car: the similar car.
@@ -56,7 +56,7 @@ class Similarity:
         self._states[[state for state in State if state.unit.startswith("1")]] = 1.0
 
     def block(self, block: Block) -> Block:
-        """Readings of the vehicle as the car would have given them."""
+        """Readings of the vehicle, scaled to the car."""
         if self.size == 1.0:
             return block
         for kind, names in EXTENSIVE_FIELDS.items():
@@ -74,7 +74,7 @@ class Similarity:
     def estimate(self, estimate: ParameterSet) -> ParameterSet: ...
 
     def estimate(self, estimate: PowerEstimate | ParameterSet) -> PowerEstimate | ParameterSet:
-        """An estimate of the car as one of the vehicle."""
+        """An estimate of the car, scaled to the vehicle."""
         if isinstance(estimate, PowerEstimate):
             return _scaled(estimate, self.size, "power", "sigma", "energy", "energy_sigma")
         if self.size == 1.0:

@@ -1,11 +1,11 @@
 """Size of a vehicle without a vehicle file, by its first minutes of motion.
 
 `generic` is a passenger car of two tonnes. Battery energy of intervals of ten seconds is linear in
-kinetic energy gained and lost, distance, the cube of the speed and time, and each coefficient goes
-with the size of the vehicle (`estimation.size`). So a Gaussian prior of the coefficients of a
-vehicle of each size has a likelihood. Passenger cars are of sizes near 1 and much alike, others
-of any size and shape. Only where the data are beyond what any such car allows, a vehicle of
-another size takes its place.
+kinetic energy gained and lost, distance, the cube of the speed and time, and each coefficient
+scales with the size of the vehicle (`estimation.size`). So for each size there is a Gaussian prior
+of the coefficients, with a likelihood. Passenger cars have sizes near 1 and are alike; others have
+any size and shape. Only if the data contradict every such car does a vehicle of another size take
+its place.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from evpinn_ros.core.vehicle.files import AREA_POWER
 from evpinn_ros.core.vehicle.physics import GRAVITY, STANDSTILL_SPEED
 
 CAR_MASS = 2040.0  # kg, of `generic`, whose size is 1
-MASSES = (20.0, 20_000.0)  # kg, of what has wheels and a battery
+MASSES = (20.0, 20_000.0)  # kg, of vehicles with a battery
 SIZES = np.geomspace(MASSES[0] / CAR_MASS, MASSES[1] / CAR_MASS, 139)  # 5 % apart
 INTERVAL = 10  # s
 LONGEST_GAP = 6.0  # s between readings
 LONGEST_DRIVE = 100_000  # s, beyond which stamps are wrong
 LEAST_INTERVALS = 18
 CAR_INTERVALS = 36  # after which a passenger car is believed to be one
-MOST_INTERVALS, MOST_READINGS = 180, 300_000  # after which nothing more is asked
+MOST_INTERVALS, MOST_READINGS = 180, 300_000  # after which the size is settled
 FIRST_LOOK_NS, LATER_LOOK = 240 * NANOSECONDS, 1.2  # into a drive; the next over that
-LIKELY = math.log(1e3)  # odds of another size, from which on it is taken
+LIKELY = math.log(1e3)  # log odds from which on another size is taken
 # From the car. Nearer ones (vans, city cars, three-wheelers of 800 kg) are within reach of its
 # priors: whole drives of such a three-wheeler gain by another size (CRPS 13.7 to 11.3) what
 # 200 s lose (8.9 to 11.7).
@@ -102,7 +102,7 @@ class Sizing:
 
     Attributes:
         blocks: of the drive so far.
-        over: True once nothing more is asked.
+        over: True once the size is settled.
     """
 
     def __init__(self) -> None:
@@ -134,7 +134,7 @@ class Sizing:
         return int(stamps[place])
 
     def look(self) -> Size | None:
-        """A size that is no passenger car's; None while none is known."""
+        """The size, if it is not that of a passenger car; None while unknown."""
         readings = joined(self.blocks)
         intervals = Intervals.of_drives([*self._earlier, _intervals(readings)])
         size, count = size_of(intervals), len(intervals.energy)
@@ -146,7 +146,7 @@ class Sizing:
 
 
 def size_of(intervals: Intervals) -> Size | None:
-    """Size of a vehicle by a drive; None while that does not tell it."""
+    """Size of a vehicle by a drive; None while that does not determine it."""
     rows, energy, volts = intervals
     if len(energy) < LEAST_INTERVALS:
         return None
@@ -184,7 +184,7 @@ def _shaped(size: float) -> np.ndarray:
 def _evidence(
     information: np.ndarray, product: np.ndarray, mean: np.ndarray, share: np.ndarray
 ) -> float:
-    """Logarithm of the likelihood of energies, but for what all priors have in common.
+    """Logarithm of the likelihood of energies, without the terms that all priors share.
 
     `information` is X'X over the variance of the noise, `product` X'y over it.
     """

@@ -54,8 +54,8 @@ REMEDY = "give another file, or rename this one: the car is then learned anew"
 class StateClaim:
     """Keeps other processes from halves of a state file while this one learns into them.
 
-    It is taken before the file is read and kept until the last write, or what one of two learns
-    would be lost. A killed process holds none.
+    Taken before the file is read and kept until the last write; otherwise what one of two
+    processes learns would be lost. A killed process holds none.
     """
 
     def __init__(self, path: Path | None, halves: Iterable[Half] = Half) -> None:
@@ -73,7 +73,7 @@ class StateClaim:
         )
         try:
             for half in halves:
-                with suppress(OSError):  # where no lock can be made, no state can be written
+                with suppress(OSError):  # a folder without locks can hold no state either
                     target = resolved(path)
                     target.parent.mkdir(parents=True, exist_ok=True)
                     name = f"{LOCK}{zlib.crc32(os.fsencode(target.name)):08x}-{half.value}"
@@ -102,7 +102,7 @@ def account_path(state: Path) -> Path:
 def write_state(path: Path, state: State) -> None:
     """Write a JSON file so that a crash at any instant leaves the old one or the new one whole.
 
-    Once it is written it outlives a loss of power.
+    Once written, it survives a loss of power.
 
     Raises:
         OSError: the file cannot be written.
@@ -162,7 +162,7 @@ def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
 
 @contextmanager
 def read_for_a_person(path: Path) -> Iterator[None]:
-    """Say what to do where a block refuses a state; nodes go on without one themselves."""
+    """Add to the refusal of a state what to do; nodes go on without one themselves."""
     try:
         yield
     except (InputError, ValueError) as error:
@@ -202,7 +202,7 @@ def read_state(path: Path) -> dict[str, Any] | None:
 def set_aside(path: Path, *, copied: bool = False) -> None:
     """Keep a file that cannot be used as `.refused`, the newest five of its name.
 
-    It may be another car's. It is copied where one half alone is refused and the other goes on.
+    It may be another car's. If only one half is refused, the file is copied and the other goes on.
 
     Raises:
         OSError: it is a folder or a device, which stays.
@@ -233,7 +233,7 @@ def _with_appended(text: str) -> dict[str, Any]:
         ValueError: it is no state, or a line before the last is none.
     """
     content, end = _DECODER.raw_decode(text, len(text) - len(text.lstrip()))
-    behind = text[end:].rstrip("\0\n")  # NUL is what a loss of power leaves of bytes
+    behind = text[end:].rstrip("\0\n")  # a loss of power leaves NUL bytes
     if not _is_state(content):
         raise ValueError
     state: dict[str, Any] = content
@@ -246,7 +246,7 @@ def _with_appended(text: str) -> dict[str, Any]:
         except ValueError:
             if number < len(lines):
                 raise
-            break  # the power was lost while it was written
+            break  # a write was cut by a loss of power
         if not (_is_state(appended) and KEYS & appended.keys()):
             raise ValueError
         state.update(appended)
@@ -254,7 +254,7 @@ def _with_appended(text: str) -> dict[str, Any]:
 
 
 def _is_state(content: Any) -> bool:
-    """True for a mapping that, if it has a half, has halves alone."""
+    """True for a mapping that has only halves, or none of them."""
     return isinstance(content, dict) and (
         not KEYS & content.keys()
         or (content.keys() <= KEYS and all(isinstance(part, dict) for part in content.values()))
@@ -262,7 +262,7 @@ def _is_state(content: Any) -> bool:
 
 
 def _halves(content: State, asked: Half) -> dict[str, Any]:
-    """The halves in a file; of an earlier version it has one, of which it says little."""
+    """The halves in a file; a file of an earlier version has one."""
     if KEYS & content.keys():
         return dict(content)
     if "before_reset" in content:

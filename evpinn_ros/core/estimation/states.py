@@ -1,8 +1,8 @@
 """The table of states: what is learned of a car, of a drive, and of the last minutes.
 
-Everything else that must know the states is made from this table: slices, priors, keys of a saved
-car and the table in `docs/reference/states.md`. A new state is one line here and one column in
-`estimation.terms`; a saved car that lacks it begins at its prior.
+Slices, priors, keys of a saved car and `docs/reference/states.md` are made from this table.
+A new state is one line here and one column in `estimation.terms`; a saved car that lacks it begins
+at its prior.
 
 Behind the states of the table stand the output weights of the network (`estimation.network`).
 """
@@ -23,8 +23,8 @@ class Duration(str, Enum):
     """Time that a state holds for."""
 
     CAR = "car"  # lasts, and drifts a little from drive to drive
-    DRIVE = "drive"  # begins with a drive, which keeps a part of the one before
-    FAST = "fast"  # forgets itself within minutes
+    DRIVE = "drive"  # begins anew with a drive, which keeps a part of the last value
+    FAST = "fast"  # decays within minutes
 
 
 CAR, DRIVE, FAST = Duration
@@ -98,7 +98,7 @@ GEARS = 0.97, 0.03  # share of the motor's energy that reaches the wheels, with 
 
 
 def known_names(names: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Places of the states that are saved under these names and exist: there, and here."""
+    """Places of the states with these names that exist: in the file, and in this table."""
     names = [SAVED_BEFORE.get(name, name) for name in names]
     there = [place for place, name in enumerate(names) if name in NAMES]
     return there, [NAMES.index(names[place]) for place in there]
@@ -113,7 +113,7 @@ def prior_of(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """
     eta, mu, mass, c_rr, c_d, p_aux = (prior.value for prior in vehicle.priors.values())
     share = np.array([prior.std / max(prior.value, 1e-9) for prior in vehicle.priors.values()])
-    share[5] = 1.0  # p_aux is no factor, and may be zero
+    share[5] = 1.0  # p_aux is not a logarithm, and may be zero
     motor = GEARS[0] / eta
     values = {
         State.DRAG_AREA_OVER_ETA: vehicle.frontal_area * c_d / eta,

@@ -46,25 +46,25 @@ from evpinn_ros.core.signals.sample import Sample, Samples
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
-CREEPING = 0.3  # m/s, slower the drivetrain stands
-TURNING_SPEED = 10.0  # m/s, at which the loss by turning is a power of that size
-MOST_FORCE = 4.0  # m/s^2 of force over mass, more is no tyre's
-LEAST_STEP = 0.5  # m, over less the force is not resolved
+CREEPING = 0.3  # m/s, below which the drivetrain stands
+TURNING_SPEED = 10.0  # m/s, at which the loss of turning equals its state
+MOST_FORCE = 4.0  # m/s^2, force over mass; tyres give no more
+LEAST_STEP = 0.5  # m; shorter steps do not resolve the force
 MILD_CELSIUS = 20.0  # neither heated nor cooled
-TYRES_WARM, CABIN_WARM = 1200.0, 600.0  # s in which tyres and cabin get their temperature
-# s in which they lose it: before a test a passenger car's tyre stands for three hours (ISO 28580).
+TYRES_WARM, CABIN_WARM = 1200.0, 600.0  # s, time constants of warming up
+# s, of cooling down: before a test a passenger car's tyre stands for three hours (ISO 28580).
 COOLED = 3600.0
 HEATING = [State.COLD, State.HOT, State.COLD_START, State.HOT_START]  # and cooling
 CLIMATE = [*HEATING, State.REPORTED]
 NETWORK_WEIGHTS = range(WEIGHTS.start, WEIGHTS.stop)
-# Beside eq. 21; an array, for a list of states takes 30 us to become one.
+# Beside eq. 21; an array, because converting a list of states takes 30 us.
 EXPLAINED = np.array([State.FORCE_SQUARED, *NETWORK_WEIGHTS])
 STANDING_LOADS = [State.P_AUX, State.LOAD_DRIVE, State.LOAD]
 TYRES = [State.ROLLING_COLD, State.ROLLING_START, State.ROLLING_DRIVE]  # of rolling
 LOAD = [State.MASS_DRIVE, State.LOSS_DRIVE]  # of one drive
 WHEELS = [*PHYSICS, *TYRES, *LOAD]  # that the motor's energy stands in for
 MOTOR = [State.MOTOR_DRIVE, State.MOTOR_BRAKE, State.MOTOR_RATIO]
-# What moving takes beside eq. 21: every state of the car that is in no other list.
+# Terms of moving beside eq. 21: every state of the car that is in no other list.
 LISTED = {*WHEELS, *MOTOR, *CLIMATE, *STANDING_LOADS, State.ETA}
 BESIDE = [
     *(state for state in State if state.level is Duration.CAR and state not in LISTED),
@@ -78,17 +78,17 @@ class Part(IntEnum):
     AIR = 0
     TYRES = 1
     SLOPE = 2  # net
-    SPEED = 3  # net: what is in the motion of the car at the end
+    SPEED = 3  # net: kinetic energy at the end less that at the start
     BRAKES = 4  # lost while braking, in brakes and drivetrain
     DRIVETRAIN = 5  # lost while driving, and by turning
     CLIMATE = 6
     STANDING = 7
-    REGAINED = 8  # by braking, at the battery: beside the sum, for it is what was not lost
+    REGAINED = 8  # by braking, at the battery; not in the sum, because it was not lost
 
 
 COUNT = len(Part)
 WHOLE = slice(0, Part.REGAINED)  # the parts that add up
-# None of them is ever negative; air may push, a road may fall, a car may slow down.
+# Parts that are never negative; air may push, a road may fall, a car may slow down.
 LOSSES = Part.TYRES, Part.BRAKES, Part.DRIVETRAIN, Part.CLIMATE, Part.STANDING, Part.REGAINED
 
 
@@ -138,11 +138,11 @@ class Warmth(NamedTuple):
 
     @classmethod
     def after(cls, seconds: Any) -> Warmth:
-        """Coldness so many s after a start."""
+        """Coldness at a time after a start, s."""
         return cls(1.0, 1.0).driven(seconds)
 
     def driven(self, seconds: Any) -> Warmth:
-        """Coldness after so many s more of driving."""
+        """Coldness after more driving, s."""
         exp = namespace(seconds).exp
         return Warmth(
             self.tyres * exp(-seconds / TYRES_WARM), self.cabin * exp(-seconds / CABIN_WARM)
@@ -151,7 +151,7 @@ class Warmth(NamedTuple):
     def during(self, duration: Any) -> Warmth:
         """Mean coldness in each of steps of driving, s, one after another, shape (..., n).
 
-        The mean and not that of the middle: how a trip is cut changes nothing.
+        The mean, not the value in the middle, so that how a trip is cut changes nothing.
         """
         xp = namespace(duration)
         begin = xp.cumsum(duration, -1) - duration
@@ -209,7 +209,7 @@ class Equation:
     def wheels(
         self, duration: Any, distance: Any, air: Any, kinetic: Any, climb: Any, density: Any
     ) -> Wheels:
-        """Prior car in steps of any one shape, as `Steps` has them; density of air, kg/m^3."""
+        """Work of the prior car in steps of one shape, as in `Steps`; density of air, kg/m^3."""
         way = abs(distance)
         drag, rolling = 0.5 * density * air, GRAVITY * way
         inertia, height = self.vehicle.rotating_mass_factor * kinetic, GRAVITY * climb
@@ -247,7 +247,7 @@ class Equation:
         return np.asarray(rows)
 
     def moving_rows(self, wheels: Wheels, duration: Any, cold: Any, tyres: Any) -> Any:
-        """Rows of what moves the car, without loads: shape (..., n, SIZE), numpy or torch.
+        """Rows of moving the car, without loads: shape (..., n, SIZE), numpy or torch.
 
         Args:
             wheels: of the steps, shape (..., n).
@@ -269,8 +269,8 @@ class Equation:
     ) -> dict[State, Any]:
         """Columns of `moving_rows` by state, but for the network, of the steps' shape.
 
-        What the terms of eq. 21 explain of `EXPLAINED` is not taken away yet: that is these terms
-        times `explained`, also once they are summed up.
+        The share that the terms of eq. 21 explain of `EXPLAINED` is still in them: these terms
+        times `explained`, which also holds for sums.
         """
         turns = numbers(wheels.speed > CREEPING, duration) * duration
         columns = dict(zip(PHYSICS, wheels.columns, strict=True))
@@ -282,7 +282,7 @@ class Equation:
             State.ROLLING_COLD: prior * cold,
             State.ROLLING_START: prior * tyres,
             State.ROLLING_DRIVE: prior,
-            # Tyres carry it too.
+            # Tyres carry the load too.
             State.MASS_DRIVE: columns[State.MASS_OVER_ETA] + prior * (1.0 / mass),
             State.LOSS_DRIVE: abs(wheels.energy) * wheels.gain,
         }
@@ -290,10 +290,10 @@ class Equation:
     def split(self, rows: np.ndarray, wheels: Wheels, cold: float, tyres: Any) -> np.ndarray:
         """Energy of n steps together by part and state, J per unit, shape (COUNT, SIZE).
 
-        Those of `WHOLE` add up to `rows`. At the wheels there are air, tyres, slope and speed,
-        each of which gives back what it took; what is lost on the way is the drivetrain's while
-        the car drives, and the brakes' while it brakes, but for what turning takes. ETA
-        divides the same energy between wheels and drivetrain, so the whole does not depend on it.
+        Those of `WHOLE` add up to `rows`. Air, tyres, slope and speed are work at the wheels, and
+        give back what they took. Losses on the way are the drivetrain's while the car drives, and
+        the brakes' while it brakes, except that of turning. ETA divides the same energy between
+        wheels and drivetrain, so the whole does not depend on it.
 
         Args:
             rows: of the steps, as `rows` has them, shape (n, SIZE).
@@ -329,9 +329,9 @@ class Equation:
         return parts
 
     def _braked(self, moving: np.ndarray, wheels: Wheels) -> np.ndarray:
-        """Energy by state, J per unit, shape (SIZE,), of what moves the car while it brakes.
+        """Energy of moving the car by state while it brakes, J per unit, shape (SIZE,).
 
-        Where the motor's torque is known it tells braking itself: its reports lag by some 0.1 s,
+        Where the motor's torque is known, its sign shows braking: its reports lag by some 0.1 s,
         so the steps in which the prior car brakes hold some of the energy of driving.
         """
         back = (1.0 - wheels.driving) @ moving
@@ -347,17 +347,17 @@ class Equation:
     ) -> np.ndarray:
         """Energy the wheels take less that of the motor, driving and braking, (2, SIZE).
 
-        Each is zero, up to noise: so reported torque measures the wheels, whatever the battery
-        gave. Friction brakes take a share that it does not show.
+        Each is zero, up to noise, so reported torque measures the wheels without the battery.
+        Torque does not show the share of friction brakes.
         """
         cold, apart = coldness(conditions.celsius), np.zeros((len(steps.duration), SIZE))
         moving = self.moving_columns(wheels, steps.duration, cold, warmth.tyres)
         for state in WHEELS:
-            if state is not State.LOSS_DRIVE:  # which no drive learns
+            if state is not State.LOSS_DRIVE:  # no drive learns it
                 apart[:, state] = moving[state]
         for state, column in self._motor_columns(steps).items():
             apart[:, state] = -column
-        # A climb that no height shows is work of the wheels too, all along the way.
+        # An unseen climb is work of the wheels too, all along the way.
         apart[:, State.CLIMB] = np.abs(steps.distance) / max(np.abs(steps.distance).sum(), 1e-9)
         return np.stack((wheels.driving @ apart, (1.0 - wheels.driving) @ apart))
 
@@ -395,7 +395,7 @@ class Equation:
         return self.wheels(*steps[:5], conditions.air_density)
 
     def _motor_columns(self, steps: Steps) -> dict[State, Any]:
-        """Columns of the motor's energy, which stands in for what the wheels take."""
+        """Columns of the motor's energy, which replaces the work of the wheels."""
         drive, brake = steps.motor_drive, -steps.motor_brake
         columns = {State.MOTOR_DRIVE: drive, State.MOTOR_BRAKE: brake}
         if not steps.motor_scaled:
@@ -438,19 +438,19 @@ class Motor(IntEnum):
     """Knowledge of the motor's power at a sample."""
 
     UNKNOWN = 0
-    UNSCALED = 1  # up to a factor: the gear is not known
+    UNSCALED = 1  # up to a factor: the gear ratio is unknown
     KNOWN = 2
 
 
 def motor_of(samples: Samples) -> np.ndarray:
-    """What is known of the motor's power at each sample (`Motor`), shape (n,)."""
+    """Knowledge of the motor's power at each sample (`Motor`), shape (n,)."""
     known = np.where(samples.motor_scaled, Motor.KNOWN, Motor.UNSCALED)
     return np.where(np.isnan(samples.motor_power), Motor.UNKNOWN, known)
 
 
 @lru_cache(maxsize=16)
 def equation_of(vehicle: Vehicle, seed: int = 0) -> Equation:
-    """The equation of a car, made once: that takes 50 ms."""
+    """The equation of a car; cached, because making one takes 50 ms."""
     return Equation(vehicle, seed)
 
 

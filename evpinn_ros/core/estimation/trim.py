@@ -1,9 +1,9 @@
-"""The trim: what the last seconds had beside the car, forgotten soon after.
+"""The trim: the error of the model in the last seconds, forgotten soon after.
 
 Battery power is that of the car (`estimation.terms`, physics and network) plus six linear weights,
 of 1, speed, and speed times the acceleration and its profile. They are learned by recursive least
 squares at every measured sample, and return to zero within `FADING` as an Ornstein-Uhlenbeck
-process does: the trim holds what this road, this wind and this second have beside the car.
+process does: the trim holds the effect of the present road, wind and second.
 
 It is not the network of the car, which lasts and is learned with the parameters.
 """
@@ -29,7 +29,7 @@ OUTLIER = 3.0  # sigmas from which on a sample counts for less
 
 
 def trim_rows(samples: Samples) -> np.ndarray:
-    """What the weights multiply at n samples, shape (n, WEIGHTS); nothing of a standing car."""
+    """What the weights multiply at n samples, shape (n, WEIGHTS); 0 while the car stands."""
     speed = samples.speed[:, None]
     rows = np.empty((samples.size, WEIGHTS))
     rows[:, 0], rows[:, 1] = 1.0, samples.speed

@@ -1,14 +1,13 @@
-"""Between two points of a plan: the energy that uneven speed takes beyond even speed.
+"""Energy of uneven speed between two points of a plan, beyond that of even speed.
 
-A plan whose points lie a minute or a kilometre apart knows mean speeds. A driver between them
-speeds up and brakes again, turns, waits. What that takes beyond even speed (`estimation.even`) is
-what more is braked, and what more the air takes: two tables per metre, by mean speed and duration
-of a run of legs, of four cars in traffic. A car's own drives are cut into legs of many
-lengths, and for each duration factors of the tables are learned: one in town, one on country
-roads, one on motorways. That needs no battery, only speed. What the car drove long ago counts
-less, for roads and habits change.
+A plan whose points lie a minute or a kilometre apart has mean speeds. Between them a driver speeds
+up, brakes, turns and waits. Beyond even speed (`estimation.even`), this costs more braking and
+more air: two tables per metre, by mean speed and duration of a run of legs, from four cars in
+traffic. The car's own drives are cut into legs of many lengths, and for each duration factors of
+the tables are learned: in town, on country roads, on motorways. That needs no battery, only speed.
+Old driving counts less, because roads and habits change.
 
-A run shorter than `SHORTEST` has nothing of it: its points show all that matters.
+A run shorter than `SHORTEST` has no such energy: its points show everything.
 """
 
 from __future__ import annotations
@@ -56,24 +55,24 @@ AIR = np.array(
         [1.0, 2.0, 6.0, 12.0, 36.0, 90.0],
     ]
 )  # m^2/s^2 more of the integral of v^3 in a metre
-SHORTEST = 2.0  # s; over so many, up to the first of `DURATIONS`, it grows from nothing
-USUAL_LEG = 60.0  # s, of legs that belong to no trip
+SHORTEST = 2.0  # s; from there to the first of `DURATIONS` the energy grows from 0
+USUAL_LEG = 60.0  # s, assumed for legs that belong to no trip
 LEG_SECONDS = (10.0, 30.0, 60.0, 200.0, 600.0, 1200.0)  # by which drives are cut to learn
 LEG_METRES = (100.0, 200.0, 500.0, 2000.0, 5000.0)
 JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
-PRIOR_METRES = 10e3  # that the tables count for at each factor
-MEMORY_METRES = 150e3  # m of driving within which what was before is forgotten to a third
-PRIOR_SHARE, PRIOR_DRIVES = 0.25, 4.0  # scatter before any drive, and how many it counts for
-OF_LEGS = 2.8  # variance that legs have of their own, of their energy times that of a stop
-MOST_RATIO = 9.0  # of a drive's variance over the size of what was expected: an odd one
-MOST_SHARE = 100.0  # of that scatter, whatever a file claims
-SPREAD_KEPT = 0.97  # of the scatter's sums, from drive to drive
+PRIOR_METRES = 10e3  # driving that the tables count as at each factor
+MEMORY_METRES = 150e3  # m of driving over which earlier driving is forgotten to a third
+PRIOR_SHARE, PRIOR_DRIVES = 0.25, 4.0  # scatter before any drive; drives that it counts as
+OF_LEGS = 2.8  # variance of single legs, over their energy times that of a stop
+MOST_RATIO = 9.0  # of squared error to squared expectation of a drive; more counts as this
+MOST_SHARE = 100.0  # of scatter in a file
+SPREAD_KEPT = 0.97  # share of the scatter's sums kept from drive to drive
 MOST_DRIVES = 1.0 / (1.0 - SPREAD_KEPT) + 1.0  # that these sums can hold
 MOST_SQUARES = MOST_DRIVES * MOST_RATIO
 JUDGED_DRIVE_METRES = 1000.0  # m of a drive that scatter is judged by
 MOST_FACTOR = 20.0  # of the tables
 FACTORS = (ROADS.size, DURATIONS.size)  # shape of a car's factors
-# States that it has energy of.
+# States of which uneven speed has energy.
 UNEVEN_STATES = [State.DRAG_AREA_OVER_ETA, State.MASS_OVER_ETA, State.REGEN_DELTA]
 
 
@@ -93,13 +92,13 @@ class Runs(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unevenness:
-    """Lessons of a car's driving; a value.
+    """What a car's driving taught about uneven speed; a value.
 
     Attributes:
         metres: driven in legs of a minute about each speed of `MIDDLES`, shape (9,).
         by_tables: energy of legs about each of `ROADS` and `DURATIONS` by the tables, as m of
             their mean over all speeds, so that it is of a car of any size, shape (3, 6).
-        by_drives: the same of what it was.
+        by_drives: the same as driven.
         squares: sum over drives of squared energy by which they strayed from what was expected,
             over the squared size of that (`size_of`).
         drives: how many these are.
@@ -122,11 +121,11 @@ class Unevenness:
 
     @property
     def share(self) -> float:
-        """1-sigma of a trip's unevenness over the size of what is expected of it."""
+        """1-sigma of a trip's unevenness over the size of its expectation."""
         return float(np.sqrt(self.squares / self.drives))
 
     def possible(self) -> Unevenness:
-        """This; ValueError where its scatter is out of range."""
+        """The value itself; ValueError if its scatter is out of range."""
         if self.share > MOST_SHARE:
             raise ValueError("the scatter of the unevenness is out of range")
         return self
@@ -134,7 +133,7 @@ class Unevenness:
     def factors(self, equation: Equation) -> np.ndarray:
         """Factors of the tables by road and duration, shape (3, 6).
 
-        Before it has driven a car drives as traffic does; a vehicle that is in none, evenly.
+        Before its first drive a car drives as traffic does; a vehicle outside traffic, evenly.
         """
         prior = PRIOR_METRES * equation.vehicle.in_traffic
         factors = (prior + self.by_drives) / (PRIOR_METRES + self.by_tables)
@@ -172,7 +171,7 @@ class Unevenness:
     def _judged(
         self, equation: Equation, mean: np.ndarray, drive: Path, energy: float
     ) -> Unevenness:
-        """With the scatter of one more drive, that took so many J, about what was expected."""
+        """Unevenness with the scatter of one more drive about its expectation, J."""
         if np.abs(drive.distance).sum() < JUDGED_DRIVE_METRES:
             return self
         even = even_course(drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES)))
@@ -210,11 +209,11 @@ def sizes_of(runs: Runs, energy: np.ndarray, mean: np.ndarray) -> tuple[np.ndarr
 
 
 def size_of(energy: Any, by_stops: Any) -> Any:
-    """Size of unevenness that scatter goes by, J, by two sums of `sizes_of`.
+    """Size of unevenness that scatter is relative to, J, from two sums of `sizes_of`.
 
-    A driver's habit is off in the same sense on all legs. Beyond that, how often a leg makes one
-    speed up is a matter of chance: where so many events of one size come by chance, the variance
-    of their sum is the sum times the size of one.
+    A driver's habit errs in the same sense on all legs. Beyond that, how often a leg makes one
+    speed up is chance: the variance of a sum of chance events of one size is the sum times that
+    size.
     """
     return np.sqrt(energy**2 + OF_LEGS * by_stops)
 
@@ -245,9 +244,9 @@ def _beyond(
 ) -> tuple[Runs, np.ndarray]:
     """Runs that the legs of a drive are, and the energy of each beyond even speed, J.
 
-    Kinetic energy that a run carries on beyond that of even speed is not its own but the trip's,
-    over which it adds up to nothing: it counts halfway between what it costs to gain and what
-    braking gives back. What is left of speeding up and braking is loss.
+    Kinetic energy that a run passes on beyond that of even speed adds up to nothing over the
+    trip: it counts halfway between what it costs to gain and what braking gives back. The rest of
+    speeding up and braking is loss.
 
     Args:
         equation: of the car.
@@ -272,7 +271,7 @@ def _beyond(
 
 
 def _moving(equation: Equation, path: Path) -> np.ndarray:
-    """Rows of what moves the car, tyres warm, shape (n, SIZE)."""
+    """Rows of moving the car with warm tyres, shape (n, SIZE)."""
     wheels = equation.wheels(*path[:5], path.density)
     return np.asarray(equation.moving_rows(wheels, path.duration, 0.0, 0.0))
 
@@ -283,7 +282,7 @@ def _cut(along: np.ndarray, size: float) -> np.ndarray:
 
 
 def _between(values: np.ndarray, nodes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Numbers of the nodes below and above, and shares linear between them; ends reach on."""
+    """Numbers of the nodes below and above, with linear shares; the end nodes hold beyond."""
     below = np.clip(np.searchsorted(nodes, values) - 1, 0, len(nodes) - 2)
     share = np.clip((values - nodes[below]) / np.diff(nodes)[below], 0.0, 1.0)
     return [(below, 1.0 - share), (below + 1, share)]

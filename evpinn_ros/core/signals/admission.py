@@ -28,12 +28,12 @@ from evpinn_ros.core.signals.readings import (
 )
 from evpinn_ros.core.vehicle.files import Vehicle
 
-# More than any road vehicle is charged with, and so than any draws: CharIN's Megawatt Charging
-# System ends at 1250 V and 3000 A; the strongest cars drive with 1.6 MW.
+# More than any charger gives or car draws: CharIN's Megawatt Charging System ends at 1250 V and
+# 3000 A; the strongest cars drive with 1.6 MW.
 MAX_POWER = 4e6  # W
 SPECIFIC_POWER = 400.0  # W/kg; the strongest road cars have 390
 VOLTAGES = 3.0  # times the nominal one, which files of certified cars only guess
-CURRENTS = 1.2  # times that of the most power at the nominal voltage: a battery sags
+CURRENTS = 1.2  # times the most power over the nominal voltage, because voltage sags
 # Magnitudes of all bits set, or the sign bit alone, of the widths that buses use, at their decimal
 # resolutions.
 SENTINELS = frozenset(
@@ -42,10 +42,10 @@ SENTINELS = frozenset(
     for integer in ((1 << bits) - 1, 1 << (bits - 1))
     for resolution in (1.0, 0.1, 0.01, 0.001)
 )
-HARDEST = 10.0  # m/s^2, of braking on a dry road; what is beyond waits for a second reading
+HARDEST = 10.0  # m/s^2, of braking on a dry road; a faster change waits for a second reading
 SPEED_UNITS = (1.0, 3.6, 3600.0 / 1609.344)  # of a bus: m/s, km/h, mph
 LEAST_SENTINEL = 100.0  # A; smaller currents, and smaller changes of it, are measured
-VOLTAGE_LEAP = 0.25  # of the last voltage, by which a sentinel differs from it
+VOLTAGE_LEAP = 0.25  # share of the last voltage by which a sentinel differs from it
 
 
 class CarLimits(NamedTuple):

@@ -53,7 +53,7 @@ class Block:
 
     Attributes:
         length: how many places there are.
-        rows: those of each kind that has any.
+        rows: by kind; a kind without readings has none.
     """
 
     length: int
@@ -61,7 +61,7 @@ class Block:
 
     @classmethod
     def of(cls, readings: Iterable[Reading]) -> Block:
-        """A block of readings; a stamp that no clock tells is one beyond `MOST_STAMP`."""
+        """A block of readings; an impossible stamp becomes one beyond `MOST_STAMP`."""
         orders: dict[type[Reading], list[int]] = {}
         by_kind: dict[type[Reading], list[Reading]] = {}
         length = 0
@@ -94,11 +94,11 @@ class Block:
         return self.length
 
     def of_kind(self, kind: type[Reading]) -> Rows:
-        """Those of a kind, which may be none."""
+        """Rows of a kind; empty if there are none."""
         return self.rows.get(kind) or NO_ROWS[kind]
 
     def part(self, first: int, last: int) -> Block:
-        """Those from one place to before another, whose places begin at 0 again."""
+        """The readings from one place to before another; places begin at 0 again."""
         if first == 0 and last == self.length:
             return self
         rows = {}
@@ -115,7 +115,7 @@ class Block:
         return self.part(0, before), self.part(before, self.length)
 
     def with_rows(self, kind: type[Reading], rows: Rows) -> Block:
-        """The block with other rows of a kind, at places that were theirs."""
+        """The block with other rows of a kind, at places of that kind."""
         return replace(self, rows={**self.rows, kind: rows})
 
     def parts(self, size: int) -> Iterator[Block]:
@@ -124,9 +124,9 @@ class Block:
             yield self.part(first, min(first + size, self.length))
 
     def only(self, chosen: Mapping[type[Reading], np.ndarray]) -> Block:
-        """The chosen rows of some kinds, a mask of shape (n,) each, and all of the others.
+        """The rows that a mask of each kind chooses, shape (n,), and all of other kinds.
 
-        No place is left free.
+        Places are numbered anew.
         """
         if all(mask.all() for mask in chosen.values()):
             return self
@@ -145,14 +145,14 @@ class Block:
         return Block(int(taken.sum()), rows)
 
     def stamps(self) -> np.ndarray:
-        """Stamps by place, ns, shape (length,); of a place that is free 0."""
+        """Stamps by place, ns, shape (length,); 0 at an empty place."""
         stamps = np.zeros(self.length, np.int64)
         for rows in self.rows.values():
             stamps[rows.order] = rows.stamps
         return stamps
 
     def readings(self) -> Iterator[Reading]:
-        """Give them one by one."""
+        """Yields the readings one by one."""
         placed: list[Reading | None] = [None] * self.length
         for kind, (order, stamps, values) in self.rows.items():
             columns = (order.tolist(), stamps.tolist(), *values.tolist())
@@ -180,7 +180,7 @@ def joined(blocks: Sequence[Block]) -> Block:
 
 
 def impossible(kind: type[Reading], rows: Rows) -> list[tuple[str, np.ndarray]]:
-    """Reasons why rows are impossible, and which are: each for the first reason that holds."""
+    """Reasons why rows are impossible, each with its rows; a row has its first reason only."""
     reasons = [("stamp_out_of_range", np.abs(rows.stamps) > MOST_STAMP)]
     for what, field, least, most, unknown in RANGES[kind]:
         value = _value(kind, field, rows)

@@ -1,14 +1,14 @@
 """Detectors of faults: one protocol, one hysteresis, and one table of them all.
 
-A detector is a value: `after` gives the detector that has seen one thing more, `detected` names
+A detector is a value: `after` gives the detector after one more observation, `detected` names
 the fault that it sees now. It follows one number, its evidence, and leaves the verdict to a row of
 the table: above `on` there is the fault, at or below `off` there is none, and in between the
 verdict stays. Less than `least` of what the evidence rests on changes no verdict.
 `docs/reference/detectors.md` is made from the table.
 
-No detectors, because each judges one value by itself and remembers nothing: ranges (`readings`),
-and leaps of speed (`kinematics.SpeedTrack.leaps`) and altitude (`height`). Nor jumps of time
-(`time_jump`), which hold readings back and put them in order, nor the fit of a CAN profile
+Checks of single values are no detectors, because they have no memory: ranges (`readings`), leaps
+of speed (`kinematics.SpeedTrack.leaps`) and of altitude (`height`). Nor are jumps of time
+(`time_jump`), which hold readings back and put them in order, and the fit of a CAN profile
 (`can.fit`), which counts frames.
 """
 
@@ -28,7 +28,7 @@ class Detector(Protocol[Seen]):
         """Name of the fault that is seen now, or None."""
 
     def after(self, *seen: Seen.args, **named: Seen.kwargs) -> Detector[Seen]:
-        """The detector that has seen one thing more."""
+        """The detector after one more observation."""
 
 
 class Hysteresis(NamedTuple):
@@ -109,7 +109,7 @@ BATTERY_REPEATS = Hysteresis(
     "change of speed while voltage and current repeat, or 0 A; below 5 kW its rise alone",
     "m/s", 5.0, NEVER, 2.0, "s of repetition", f"the battery is not used, {NOT_LEARNED}",
 )  # fmt: skip
-ONE_ALTITUDE = Hysteresis(  # even a flat road is not that level to the digit
+ONE_ALTITUDE = Hysteresis(  # on a flat road too, the last digit of altitude changes
     ALTITUDE_STUCK, "road since the altitude changed", "m", 1e3, 0.0, 0.0, "", "height is unknown"
 )
 ANOTHER_LOAD = Hysteresis(

@@ -36,7 +36,7 @@ class AltitudeDetector:
     Attributes:
         last: odometer and altitude, m; None before the first.
         moved_at: odometer where it last changed, m.
-        stuck: verdict; an altitude is until it first changes.
+        stuck: verdict; True until the altitude first changes.
         rise: since the altitude before: 0 over a leap, None while it is stuck.
     """
 
@@ -51,7 +51,7 @@ class AltitudeDetector:
         return ALTITUDE_STUCK if self.stuck else None
 
     def after(self, odometer: float, altitude: float) -> AltitudeDetector:
-        """The detector after an altitude, where the odometer shows so many m."""
+        """The detector after an altitude, m, at an odometer reading, m."""
         place, before = self.last or (odometer, altitude)
         step = altitude - before
         moved_at = odometer if step else self.moved_at
@@ -71,7 +71,7 @@ class HeightProfile:
         self._integral: list[float] = []  # of height along the way, m^2
 
     def add(self, odometer: float, height: float) -> None:
-        """Take the height, m, where the odometer shows so many m, further on than the last."""
+        """Add a height, m, at an odometer reading, m, beyond the last."""
         if self._odometer and odometer - self._odometer[-1] < LEAST_STEP:
             return
         before = 0.0
@@ -82,7 +82,7 @@ class HeightProfile:
             column.append(value)
 
     def forget_before(self, odometer: float) -> None:
-        """Forget the heights that no average from this place on needs."""
+        """Forget the heights that averages from this place on do not need."""
         surplus = bisect_left(self._odometer, odometer - MARGIN) - 1
         if surplus > 0:
             for column in self._columns:
@@ -96,7 +96,7 @@ class HeightProfile:
     def means_around(self, odometers: np.ndarray, seen: float) -> np.ndarray | None:
         """Heights averaged `REACH` to either side of places, m, as far as known, shape (n,).
 
-        By those up to `seen`, m; None where one of the places is not among these.
+        Heights up to `seen` are used; None if one of the places is not among them.
         """
         count = bisect_right(self._odometer, seen)
         if not count:

@@ -50,7 +50,7 @@ class Steps(NamedTuple):
         climb: difference of height, m; 0 where unknown.
         motor_drive: energy of the motor where it drives, J, NaN while unknown, as in a plan.
         motor_brake: the same where it brakes, positive J.
-        motor_scaled: whether these are in J; else up to a factor, for the gear is not known.
+        motor_scaled: True if these are in J; False if the unknown gear ratio scales them.
     """
 
     duration: np.ndarray
@@ -114,7 +114,7 @@ class _Edges(NamedTuple):
         air: integral of the air's flow since the start, m^3/s^2.
         motor: energy of driving and of braking since the edge before, J, shape (n, 2).
         around: `Conditions`, shape (n, 5).
-        leapt: whether speed did since the edge before, by more than tyres can.
+        leapt: whether speed changed since the edge before by more than tyres can.
         speed: m/s, smoothed.
         seen: how far heights were known once it was added, m by the odometer.
     """
@@ -142,25 +142,25 @@ NO_EDGES = _Edges(
 class IntervalBuilder:
     """Cuts a drive into intervals from tracks that others fill, up to the newest speed.
 
-    An interval is given once the battery is known on both sides of it and the car has gone
-    `height.REACH` beyond it, so that heights are averages around a place; not later than
-    `WAIT_NS`, without what is missing then.
+    An interval is ready once the battery is known on both sides of it and the car has gone
+    `height.REACH` beyond it, so that heights are averages around a place. After `WAIT_NS` it is
+    ready without them.
     """
 
     def __init__(
         self, speed: SpeedTrack, battery: BatteryTrack, motor: MotorTrack, road: Road
     ) -> None:
-        """An interval of these tracks that has not begun."""
+        """Begin without an interval; others fill the tracks."""
         self._speed, self._battery, self._motor, self._road = speed, battery, motor, road
         self._height = HeightProfile()
-        self._edges = NO_EDGES  # from the first that an interval to come begins with
+        self._edges = NO_EDGES  # from the first edge of the next interval on
         self._begin = 0  # place in these of the first edge of the interval that is not complete
         self._complete: deque[tuple[int, int]] = deque()  # places of first and last edges
         self._looked_ns = NEVER  # up to here no complete interval was ready
 
     @property
     def needed_ns(self) -> int:
-        """Earliest moment that intervals yet to come look at, ns."""
+        """Earliest moment that later intervals need, ns."""
         return int(self._edges.stamps[0]) if len(self._edges.stamps) else LATER
 
     def intervals(self) -> Iterator[tuple[int, Interval]]:
@@ -177,9 +177,9 @@ class IntervalBuilder:
         self._forget()
 
     def finish(self) -> Iterator[Interval]:
-        """Yields the intervals that are waiting, with what is known: the drive ends, or a gap.
+        """Yields the waiting intervals, with what is known, at the end of a drive or at a gap.
 
-        The last edge stays: what comes after, if anything, begins there.
+        The last edge stays: the next interval begins there.
         """
         if len(self._edges.stamps) > self._begin + 1:
             self._complete.append((self._begin, len(self._edges.stamps) - 1))
@@ -237,7 +237,7 @@ class IntervalBuilder:
         return np.asarray(stamps[places])
 
     def _add_heights(self, stamps: np.ndarray, odometer: np.ndarray) -> np.ndarray:
-        """Take the heights up to each new edge; returns up to where they are known then, m."""
+        """Add the heights up to each new edge; returns how far they are known at each, m."""
         if not self._road.shows_heights:
             return np.full(len(stamps), self._height.seen)
         before = (self._edges.stamps, stamps), (self._edges.odometer, odometer)
@@ -251,7 +251,7 @@ class IntervalBuilder:
         return np.array(seen)
 
     def _end_intervals(self, first: int) -> None:
-        """Let intervals end at edges from a place on."""
+        """End intervals at edges from a place on."""
         stamps = self._edges.stamps
         new = stamps[first:]
         periods = np.maximum(self._speed.period(new), self._battery.period(new))

@@ -30,7 +30,7 @@ class NewestSpeeds(NamedTuple):
 
     Attributes:
         stamps: ns, increasing, shape (n,).
-        known_ns: up to here all was learned before each, shape (n,).
+        known_ns: stamp up to which everything was learned before each, shape (n,).
         speed: m/s, shape (n,).
         differences: of speed before each (`kinematics.Speeds.differences`), shape (n, TAPS).
         slopes: around each (`kinematics.Speeds.slopes`), shape (n, PROFILE).
@@ -53,7 +53,7 @@ class NewestSpeeds(NamedTuple):
         return NewestSpeeds._make(column[chosen] for column in self)
 
     def until(self, stamp_ns: int) -> tuple[NewestSpeeds, NewestSpeeds]:
-        """Those that came when all before a stamp was learned, and the others."""
+        """Speeds that came when everything before a stamp was learned, and the others."""
         count = int(self.known_ns.searchsorted(stamp_ns))
         return self.where(slice(count)), self.where(slice(count, None))
 
@@ -106,7 +106,7 @@ class NewestTrack:
     def add_speed(self, stamp_ns: int, speed: float) -> Moved | None:
         """Take one speed as it comes; None where it is not the newest, or comes after a gap.
 
-        The scalar twin of `add`: after a gap that is to be used.
+        The scalar twin of `add`, which is to be used after a gap.
         """
         if not self._latest and len(self._speed):
             track = self._speed
@@ -135,7 +135,7 @@ class NewestTrack:
         return Moved(differences, slopes, power if fresh else math.nan)
 
     def _extend(self) -> None:
-        """Let the track have the speeds that came one by one."""
+        """Add the speeds that came one by one to the track."""
         if self._new:
             stamps, values = zip(*self._latest[-self._new :], strict=True)
             self._speed.extend(np.array(stamps, np.int64), np.array(values))

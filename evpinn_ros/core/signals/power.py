@@ -141,7 +141,7 @@ class MotorTrack:
         self._ratio = NOMINAL_RATIO if math.isnan(ratio) else ratio
 
     def scaled(self, moments: Any) -> Any:
-        """Whether it is in W; else up to a factor, for neither gear nor speed is known."""
+        """True if it is in W; False if the unknown gear ratio scales it."""
         return np.less_equal(self._scaled_from, moments)
 
     def extend(self, rows: Rows, speed: SpeedTrack) -> None:

@@ -1,4 +1,4 @@
-"""Progress through what has stamps."""
+"""Progress through items with stamps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def reported(
     progress: Callable[[float], None] | None,
     stamp_of: Callable[[Item], int] = attrgetter("stamp_ns"),
 ) -> Iterator[Item]:
-    """Give the items on; `progress` takes the seconds since the first, about every second."""
+    """Yields the items; reports the seconds since the first about once a second."""
     first_ns: int | None = None
     reported = -math.inf
     for item in items:

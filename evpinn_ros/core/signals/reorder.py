@@ -83,7 +83,7 @@ class ReorderBuffer:
         self._new: list[Reading] = []  # that came one by one, and wait too
 
     def shift_battery(self, shift_ns: int) -> None:
-        """Expect stamps of the battery moved by so many ns: back it comes late, forward early."""
+        """Expect battery stamps moved by so many ns: backward they are late, forward early."""
         self._late_ns = self._allowed_ns + max(0, -shift_ns)
         self._silent_ns = SILENT_NS + max(0, shift_ns)
 
@@ -129,7 +129,7 @@ class ReorderBuffer:
         return f"{LATE[kind]}_late" if kind in LATE and reading.stamp_ns <= late_ns else None
 
     def _merge(self) -> None:
-        """Let the readings that came one by one wait in order of stamps."""
+        """Merge the readings that came one by one into those that wait."""
         new, self._new = Block.of(self._new), []
         for kind, rows in new.rows.items():
             self._wait(kind, rows)
@@ -152,7 +152,7 @@ class ReorderBuffer:
                 self.dropped[f"{LATE[kind]}_late"] += int(np.count_nonzero(late))
                 rows, before = rows.where(~late), before[~late]
             arrived[kind] = Arrived(*rows, before)
-            if kind not in SERIES:  # what is late of the surroundings counts from now on
+            if kind not in SERIES:  # late readings of the surroundings count from now on
                 rows = rows._replace(stamps=np.maximum(rows.stamps, before + 1))
             self._wait(kind, rows)
         self.watermark_ns = int(marks[-1])
@@ -162,13 +162,13 @@ class ReorderBuffer:
         """The readings that wait, in order of stamps: no more will come."""
         self._merge()
         ends = [int(rows.stamps[-1]) for rows in self._waiting.values() if len(rows.stamps)]
-        # A whole cell, so that what comes all the same is late, and the watermark never falls.
+        # A whole cell, so that later readings are late, and the watermark never falls.
         newest_ns = -(-max([self.watermark_ns, *ends]) // CELL_NS) * CELL_NS
         self.watermark_ns, self._moved_ns = newest_ns, max(self._moved_ns, newest_ns)
         return self._passed(self.watermark_ns)
 
     def _watermarks(self, rows: Mapping[type[Reading], Rows]) -> tuple[np.ndarray, np.ndarray]:
-        """Places of readings that may move the watermark, and it before each and after all."""
+        """Places of readings that may move the watermark, and the watermark around each."""
         speeds, battery = (
             rows.get(kind, NO_ROWS[kind]) for kind in (SpeedReading, BatteryReading)
         )
@@ -180,7 +180,7 @@ class ReorderBuffer:
         return order[sequence], moved // CELL_NS * CELL_NS
 
     def _possible(self, kind: type[Reading], rows: Rows) -> Rows:
-        """The readings that are possible and hold something."""
+        """The readings that are possible and not all NaN."""
         reasons = impossible(kind, rows)
         if kind is BatteryReading:
             reasons.append(("battery_unmeasured", np.isnan(rows.values[:2]).all(axis=0)))
@@ -192,9 +192,9 @@ class ReorderBuffer:
         return rows if used.all() else rows.where(used)
 
     def _wait(self, kind: type[Reading], rows: Rows) -> None:
-        """Let readings wait in order of stamps.
+        """Add readings to those that wait, in order of stamps.
 
-        Of one stamp the first that came counts; of the surroundings the last, for late ones share
+        Of one stamp the first reading counts; of the surroundings the last, because late ones get
         the stamp from which they count.
         """
         if not len(rows.stamps):

@@ -79,7 +79,7 @@ class Conditions(NamedTuple):
 
 
 class _Told:
-    """Latest values of some quantities that readings of one kind tell, in order of stamps."""
+    """Latest values of the quantities in readings of one kind, in order of stamps."""
 
     def __init__(self, width: int) -> None:
         self.stamps = np.array([NEVER])
@@ -91,7 +91,7 @@ class _Told:
         self._values = np.concatenate((self._values, values[: len(self._values)]), axis=1)
 
     def forget_before(self, needed_ns: int) -> None:
-        """Drop what was told before the last reading up to a moment."""
+        """Drop the values before the last one up to a moment."""
         first = int(self.stamps.searchsorted(needed_ns, side="right")) - 1
         if first > len(self.stamps) // 2:
             self.stamps, self._values = self.stamps[first:], self._values[:, first:]
@@ -224,8 +224,8 @@ class Road:
     ) -> Iterator[list[tuple[float, float]]]:
         """Places, m by the odometer, and heights of the road there, m, that are new at moments.
 
-        The integral of pitch stands in for altitudes where the IMU gives it, and they go on from
-        the last of it.
+        Where the IMU gives pitch, its integral replaces altitudes, which go on from its last
+        value.
 
         Args:
             stamps: of the moment before and n new ones, ns, increasing, shape (n + 1,).
@@ -285,8 +285,8 @@ class Road:
 class _Hill:
     """Slope of the road from altitudes: a Kalman filter along the road.
 
-    The slope wanders as that of roads does, by `SLOPE_STD` within `SLOPE_LENGTH`, so altitudes are
-    taken for no more than they are worth: over the length of a car any barometer finds cliffs.
+    The slope wanders as that of roads does, by `SLOPE_STD` within `SLOPE_LENGTH`. So single
+    altitudes weigh little: over the length of a car any barometer shows cliffs.
     """
 
     def __init__(self) -> None:
@@ -318,7 +318,7 @@ class _Hill:
             return
         miss = altitude - self._altitude
         if abs(miss) > LEAP + STEEPEST * self._road:
-            self._altitude, self._road = altitude, 0.0  # a receiver that found itself: no slope
+            self._altitude, self._road = altitude, 0.0  # the receiver got its fix: no slope
             return
         noise = ALTITUDE_STD**2 * max(1.0, ALTITUDE_LENGTH / self._road)
         self._road = 0.0
@@ -331,5 +331,5 @@ class _Hill:
 
 
 def _age(now_ns: Any, stamp_ns: Any) -> Any:
-    """Seconds between stamps, inf since `NEVER`; the future is as far from now as the past."""
+    """Absolute time between stamps, s; inf since `NEVER`."""
     return np.where(stamp_ns == NEVER, np.inf, abs(now_ns - stamp_ns) / NANOSECONDS)

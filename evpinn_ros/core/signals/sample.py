@@ -27,7 +27,7 @@ class Sample(NamedTuple):
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature of the air outside, NaN while unknown.
         motor_power: mechanical power of the motor, W, NaN where no bus reports it.
-        motor_scaled: whether that is in W; else up to a factor, for the gear is not known.
+        motor_scaled: True if that is in W; False if the unknown gear ratio scales it.
     """
 
     stamp_ns: int
@@ -76,11 +76,11 @@ class Samples(NamedTuple):
         return Samples._make([column[chosen] for column in self])
 
     def and_then(self, later: Samples) -> Samples:
-        """These, and those that follow."""
+        """These samples, and those that follow."""
         return joined_samples((self, later))
 
     def rows(self) -> Iterator[Sample]:
-        """Give them one by one."""
+        """Yields the samples one by one."""
         columns = [column.tolist() for column in self]
         columns[6] = [tuple(row) for row in columns[6]]
         return map(Sample, *columns)
@@ -125,7 +125,7 @@ class Newest(NamedTuple):
 
     Attributes:
         samples: n of them, whose acceleration is causal.
-        known_ns: up to here all was learned before each, shape (n,).
+        known_ns: stamp up to which everything was learned before each, shape (n,).
         told_ns: stamps of the newest battery reading before each, shape (n,).
         told_power: its power, W, NaN before any, shape (n,).
     """

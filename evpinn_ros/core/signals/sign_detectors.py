@@ -50,8 +50,8 @@ NO_SUMS = SignSums()
 class SignDetector:
     """Detector of current of the wrong sign: to accelerate costs power, in every car.
 
-    Followed is the sum of power signed by acceleration over the sum of its size, wherever the car
-    pulls away or brakes with more than `HARD`: about +0.9 as it should be, -0.9 with the sign
+    The evidence is the sum of power signed by acceleration over the sum of its size, while the car
+    pulls away or brakes with more than `HARD`: about +0.9 if the sign is right, -0.9 if it is
     flipped.
     """
 
@@ -82,8 +82,8 @@ class ChargeDetector:
     """Detector of current of the wrong sign: charging fills the battery, drawing empties it.
 
     Two rules. Each `CHARGE_STEP` of the state of charge must go with the sign of the energy that
-    flowed meanwhile, moving or not; and a car at rest draws little for long, no more than heating
-    cabin and battery takes together, so what seems to is charging.
+    flowed meanwhile, moving or not. And a car at rest draws no more for long than heating cabin
+    and battery takes; if more seems drawn, the car is charging.
 
     Attributes:
         charge: state of charge at the last step of it, NaN before.
@@ -130,9 +130,9 @@ class ChargeDetector:
 class GradeDetector:
     """Detector of a reported grade of the wrong sign: to climb costs energy.
 
-    Regressed is the climb that the battery's energy shows on the one that is reported, over the
-    road: 1 as it should be, -1 with the sign flipped, 0 for a report that has nothing to do with
-    the road. Each `ALIKE` counts as one observation.
+    Regresses the climb that the battery's energy shows on the reported one, over the road: 1 if
+    the sign is right, -1 if it is flipped, 0 if the report has nothing to do with the road. Each
+    `ALIKE` counts as one observation.
 
     Attributes:
         sums: of 1, x, y, x^2, x y and y^2 along the road, m.
@@ -171,7 +171,7 @@ class GradeDetector:
 
 
 def _sigmas(sums: np.ndarray) -> float:
-    """The regression's coefficient over its 1-sigma, NaN while there is no telling."""
+    """The regression's coefficient over its 1-sigma, NaN while it is undetermined."""
     road = float(sums[0])
     x, y, xx, xy, yy = (sums[1:] / road).tolist()
     spread, both, size = xx - x * x, xy - x * y, yy - y * y

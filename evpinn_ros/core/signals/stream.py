@@ -122,8 +122,8 @@ class SampleStream:
         self._begin_stretch()
 
     def _begin_stretch(self) -> None:
-        """Join nothing across what was: a jump of time, or a gap."""
-        self._moments = NO_NS  # that no smoothed sample was made of yet
+        """Join nothing across a jump of time or a gap."""
+        self._moments = NO_NS  # without a smoothed sample so far
         self._road.forget()
         self._intervals = IntervalBuilder(self.speed, self.battery, self.motor, self._road)
 
@@ -190,7 +190,7 @@ class SampleStream:
         return Events(predicted, smoothed, smoothed_ns, measured, intervals)
 
     def _forget(self) -> None:
-        """Drop what nothing to come rests on."""
+        """Drop readings that no later sample needs."""
         needed_ns = min(self._intervals.needed_ns, self.speed.newest_ns - FORGOTTEN_NS)
         if self._unmeasured.size:
             needed_ns = min(needed_ns, int(self._unmeasured.stamp_ns[0]))

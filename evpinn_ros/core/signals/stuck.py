@@ -1,8 +1,8 @@
 """A sensor that repeats one value while the other shows that the car does something else.
 
-A speed that is not suspected yet is in doubt, or did hang if it leaps at last. One that goes on as
-it was did not: a cruise control keeps a fine speed for seconds, a simulator's driver for minutes,
-and between speeding up and slowing down any car does.
+A speed that repeats is in doubt until it moves on. If it leaps then, it did hang; if it changes
+smoothly, it did not: a cruise control keeps a fine speed for seconds, a simulator's driver for
+minutes, and every car does between speeding up and slowing down.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ OFTEN = 10  # readings of one value before it is suspected
 WINDOW_NS = 15 * NANOSECONDS  # beyond, a hilly road under cruise control would look the same
 LEAST_HANG = 0.35  # s; less is a gap between readings
 LEAP, LEAP_STEPS, MOST_ACCELERATION = 0.5, 2.5, 3.0  # m/s, steps of the signal, m/s^2
-SETTLES_NS = NANOSECONDS // 2  # before and after, which smoothing reaches and in which it leaps
+SETTLES_NS = NANOSECONDS // 2  # before and after a repetition, which smoothing mixes with it
 SPOILT_KEPT = 20
 IDLE_POWER = 5e3  # W; a full battery takes no more while friction stops the car, or none at all
 MOVING = 2.0  # m/s
 
 
 class Spoilt(NamedTuple):
-    """A time of which nothing is learned, and why."""
+    """A time from which nothing is learned, and why."""
 
     reason: str
     since_ns: int
@@ -72,7 +72,7 @@ class Verdict(NamedTuple):
         return None
 
     def spoiling(self, reason: str, repetition: Repetition) -> Verdict:
-        """With nothing to learn of the time in which a value repeated so far."""
+        """The verdict, with the time of the repetition so far spoilt."""
         before, since_ns = self.spoilt, repetition.since_ns
         if before and before[-1][:2] == (reason, since_ns):
             before = before[:-1]
@@ -153,7 +153,7 @@ class StuckDetector:
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
         battery = battery.where(np.isfinite(battery.values[0] * battery.values[1]))
         volts, amperes = battery.values[:2]
-        # Robots send a current of 0 for want of a sensor, beside a voltage that is measured.
+        # Robots without a current sensor send 0 A beside a measured voltage.
         drawn = np.stack((drawn_power(volts, amperes), np.where(amperes, volts, 0.0), amperes))
         rows = sorted([*_listed(speeds, speeds.values[:1]), *_listed(battery, drawn)])
         stamps, verdicts = [], [self.verdict]

@@ -1,21 +1,21 @@
 """Distinguish time that jumped back, as when a bag starts over, from stamps that are merely wrong.
 
-The one rule for it: nodes, replays and whoever feeds a stream of samples put a `StampGuard` before
-it and do at a `Jump` what their `JumpPolicy` states; behind it time does not go back.
+Nodes, replays and others that feed a stream of samples put a `StampGuard` before it, and react to
+a `Jump` by their `JumpPolicy`; behind the guard time does not go back.
 
 Stamps decide, because only they show where in the stream the jump is. One stamp that leaps proves
 nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
-the estimator forget a car; a little behind, some in a row have to, for messages that are late at
-random come like that too. When the node's own clock went back as well, one is enough.
+the estimator forget a car. A leap that is only a little back needs several in a row, because
+messages that are late at random look alike. If the node's own clock went back too, one is enough.
 
-Each source is judged by its own stamps. Sources whose stamps are up to `SKEW_NS` apart are of one
-time: the one behind is late, as on a busy machine or a slow link, and what it says is passed on to
-be used at its stamp or to be dropped as too late by whoever joins the two.
+Each source is judged by its own stamps. Sources whose stamps are up to `SKEW_NS` apart share one
+time: the one behind is late, as on a busy machine or a slow link. Its items are passed on, and the
+receiver uses them at their stamps or drops them as too late.
 
-A timeline that was left gives no more readings: a bag that starts over does not play its end.
-Where stamps leap to and fro between two times there are two publishers, and to follow both would
-be a jump at every turn. So from the first return on the one followed now is kept, and what
-continues the other is dropped and counted, until nothing else has come for a while.
+An abandoned timeline produces no more readings: a bag that starts over does not play its end. If
+stamps leap to and fro between two times, there are two publishers, and following both would jump
+at every turn. So from the first return on the present time is kept, and items that continue the
+other are dropped and counted, until for a while no others have come.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
 SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
 LEFT_NS = 60 * NANOSECONDS  # a timeline that was left resumes within this
-SILENT_NS = 15 * NANOSECONDS  # a publisher that says nothing for so long is none
-LATE_IN_A_ROW = 8  # rising stamps a little behind that are no late ones, but a clock set back
+SILENT_NS = 15 * NANOSECONDS  # a publisher that is silent for so long has ended
+LATE_IN_A_ROW = 8  # rising stamps a little behind that mean a clock set back, not lateness
 USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
 LOOKED_AT = 500  # readings whose stamps are judged at once where others of their block leap
@@ -46,10 +46,10 @@ SECOND_PUBLISHER = "stamps_of_a_second_publisher"
 
 
 class JumpPolicy(str, Enum):
-    """Reaction to time that jumps back; to ignore it is to drop what is late.
+    """Reaction to time that jumps back; `ignore` drops late readings.
 
-    `auto` is to reset where the node's own clock went back too, as /clock does when a bag starts
-    over, and else to hold: a drive goes on, and what was learned of the car is true of it.
+    `auto` resets if the node's own clock went back too, as /clock does when a bag starts over.
+    Otherwise it holds: the drive goes on with what was learned of the car.
     """
 
     AUTO = "auto"
@@ -82,7 +82,7 @@ class _Held(NamedTuple):
 
 @dataclass(slots=True)
 class _Left:
-    """A time that stamps leapt away from.
+    """A timeline that stamps left.
 
     Attributes:
         newest_ns: its newest stamp.
@@ -122,7 +122,7 @@ class StampGuard:
         self._steps: deque[int] = deque(maxlen=2)
         self._held: list[_Held] = []
         self._left: list[_Left] = []
-        self._came_back = False  # to a time that was left: it had not ended
+        self._came_back = False  # to a timeline that was left and had not ended
         self._clock_went_back = False
 
     def clock_went_back(self) -> None:
@@ -159,7 +159,7 @@ class StampGuard:
             yield joined(passed)
 
     def _goes_on(self, block: Block, threshold_ns: int) -> bool:
-        """True, and its stamps are the newest, if no stamp of a block leaps."""
+        """True if no stamp of a block leaps; then its stamps are the newest."""
         stamps = block.stamps()
         newest_ns = int(stamps[0]) if self._newest_ns is None else self._newest_ns
         newest = np.maximum(np.maximum.accumulate(stamps), newest_ns)
@@ -216,7 +216,7 @@ class StampGuard:
                 yield from self._catch_up(stamp_ns, threshold_ns)
 
     def _leap_ns(self, source: object, stamp_ns: int, threshold_ns: int) -> int:
-        """Distance of a stamp from where it could be; 0 where nothing speaks against it."""
+        """Distance of a stamp from the nearest possible one, ns; 0 if it is possible."""
         if self._newest_ns is None:
             return 0
         ahead_ns = stamp_ns - self._newest_ns
@@ -231,7 +231,7 @@ class StampGuard:
         return 0 if behind_any or -ahead_ns <= SKEW_NS or -ahead_ns <= threshold_ns else ahead_ns
 
     def _passed(self, source: object, stamp_ns: int, item: Any) -> Any:
-        """The item, which its source goes on with."""
+        """Pass on an item, the newest of its source."""
         self._ahead_ns.pop(source, None)
         if self._newest_ns is None or stamp_ns > self._newest_ns:
             self._newest_ns = stamp_ns
@@ -249,7 +249,7 @@ class StampGuard:
         return before_ns is not None and 0 <= stamp_ns - before_ns <= SKEW_NS
 
     def _catch_up(self, stamp_ns: int, threshold_ns: int) -> Iterator[Any]:
-        """Pass on what was held and is in no doubt once time has come to this stamp."""
+        """Pass on held items that are in no doubt once time has reached this stamp."""
         held, self._held, self._newest_ns = self._held, [], stamp_ns
         for entry in held:
             if self._leap_ns(entry.source, entry.stamp_ns, threshold_ns) == 0:
@@ -304,7 +304,7 @@ class StampGuard:
             self.dropped["stamp_held_too_long"] += 1
 
     def _leap(self, stamp_ns: int, leap_ns: int) -> Iterator[Any | Jump]:
-        """Begin a new stretch of time, with what was held and belongs to it."""
+        """Begin a new stretch of time with the held items that belong to it."""
         held, self._held = self._held, []
         kept = [entry for entry in held if abs(entry.stamp_ns - stamp_ns) <= AGREE_NS]
         self._drop(len(held) - len(kept))
@@ -333,7 +333,7 @@ class StampGuard:
         self._leader_ns = max(stamp_ns, self._leader_ns or stamp_ns)
 
     def _go_on(self, stamp_ns: int) -> None:
-        """The leader goes on as before, so what was held had a wrong stamp."""
+        """The leader goes on as before, so the held items had wrong stamps."""
         self._step_to(stamp_ns)
         self._clock_went_back = False
         for left in self._left:

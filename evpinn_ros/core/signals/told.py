@@ -40,7 +40,7 @@ NOTHING_TOLD = ToldPower(NO_BATTERY, *np.empty((2, 0)))
 
 
 class ToldTrack:
-    """Follows the battery as it comes."""
+    """Follows battery readings in order of arrival."""
 
     def __init__(self) -> None:
         """Nothing told."""

@@ -2,10 +2,10 @@
 
 A certificate tells the force on a rolling car, a + b v + c v^2, and the mass it was tested with.
 Rolling resistance and drag are the constant and the square that come nearest over the speeds of a
-coastdown: within 1.9 % (root mean square) for a usual car, 4.1 % for the worst. What no
-certificate tells is from the energies of the same tests: with a charging loss of 12 %, 300 W of
-load and 300 W of a drivetrain that turns, the two cycles of 71 cars give eta 0.91 and mu 0.80 in
-the median, and 0.05 and 0.14 as their spread.
+coastdown: within 1.9 % (root mean square) for a usual car, 4.1 % for the worst. Efficiencies,
+which no certificate has, follow from the energies of the same tests: with a charging loss of 12 %,
+300 W of load and 300 W of a drivetrain that turns, the two cycles of 71 cars give eta 0.91 and
+mu 0.80 in the median, and 0.05 and 0.14 as their spread.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class RoadLoad(NamedTuple):
 
     @property
     def physics(self) -> tuple[float, float, float]:
-        """Mass, kg, rolling resistance and drag area, m^2, whose force is off by least shares."""
+        """Mass, kg, rolling resistance and drag area, m^2, of least relative error."""
         columns = np.stack((np.ones_like(COASTDOWN_SPEEDS), COASTDOWN_SPEEDS**2), axis=1)
         shares = columns / self.force(COASTDOWN_SPEEDS)[:, None]
         rolling, drag = np.linalg.lstsq(shares, np.ones(len(shares)), rcond=None)[0]
@@ -75,7 +75,7 @@ class CertifiedCar:
 
     @property
     def priors(self) -> Mapping[str, Prior]:
-        """Every parameter, of the middle of its loads."""
+        """Prior of every parameter, by the middle of its road loads."""
         logs = np.log([load.physics for load in self.loads])
         mass, c_rr, area = np.exp(logs.mean(axis=0))
         spread = np.hypot((MASS_SPREAD, ROLLING_SPREAD, DRAG_SPREAD), logs.std(axis=0))
@@ -93,7 +93,7 @@ class CertifiedCar:
 
 
 def rounded_prior(value: float, share: float, source: str) -> Prior:
-    """A prior by its 1-sigma over its value, rounded to what anybody can know."""
+    """A prior by its 1-sigma over its value, rounded to as many digits as it can have."""
     digits = 3 - math.floor(math.log10(value))
     return Prior(round(float(value), digits), round(float(value * share), digits), source)
 

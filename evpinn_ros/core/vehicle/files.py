@@ -55,20 +55,20 @@ OPTIONAL_CONSTANTS = {
     "nominal_speed": math.nan,
     "relative_size": 1.0,
 }
-EXTENSIVE = ("mass", "p_aux")  # parameters that go with the size of a vehicle
-LEAST_EIGENVALUE = 1e-3  # of correlations: with less, one is certain by the others
+EXTENSIVE = ("mass", "p_aux")  # parameters that scale with the size of a vehicle
+LEAST_EIGENVALUE = 1e-3  # of correlations; below it one parameter follows from the others
 FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
-# Value and 1-sigma of what does not go with size, of vehicles smaller and larger than a car: small
-# drives lose more and brake less by the motor; tyres and bodies are of all kinds. What has neither
-# cabin nor heating draws what a computer or some lights do; in a truck or bus loads are larger.
+# Value and 1-sigma of parameters that do not scale with size, of vehicles smaller and larger than
+# a car. Small drives lose more and brake less by the motor; tyres and bodies are of all kinds.
+# Without cabin and heating, computer and lights are the load; a truck or bus has larger loads.
 SMALL = {"eta": (0.78, 0.12), "mu": (0.5, 0.3), "c_rr": (0.012, 0.007), "c_d": (0.5, 0.25),
          "p_aux": (50.0, 60.0)}  # fmt: skip
 LARGE = {"eta": (0.86, 0.08), "mu": (0.7, 0.2), "c_rr": (0.0075, 0.003), "c_d": (0.6, 0.2),
          "p_aux": (2000.0, 2000.0)}  # fmt: skip
 MASS_SHARE = 0.4  # 1-sigma of the mass of a vehicle whose size was learned
 AREA_POWER = 2.0 / 3.0  # areas grow with the square of a length, masses with its cube
-SLOWEST_TRAFFIC = 2.0  # m/s, of cars on roads; what drives slower is a robot, on floors and paths
-LEAST_FACTOR = 1e-3  # all but p_aux is learned as a logarithm, which zero has not
+SLOWEST_TRAFFIC = 2.0  # m/s, of cars on roads; a slower vehicle is a robot
+LEAST_FACTOR = 1e-3  # all but p_aux are learned as logarithms, so none of them is zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class Vehicle:
 
     @property
     def in_traffic(self) -> bool:
-        """False of a robot, whose usual speed no traffic has: roads and drivers say nothing."""
+        """False for a robot: what is usual of roads and drivers does not apply to it."""
         return not self.nominal_speed < SLOWEST_TRAFFIC
 
     @property
@@ -149,7 +149,7 @@ class Vehicle:
         )
 
     def of_size(self, size: float) -> Vehicle:
-        """A vehicle of which the size is known alone, in place of this passenger car.
+        """A vehicle of which only the size is known, in place of this passenger car.
 
         Its priors are wide: it may be a robot, a three-wheeler, a truck or a bus.
         """
@@ -270,7 +270,7 @@ def _names() -> Iterator[tuple[str, str]]:
 def _key_of(text: str) -> str:
     words = words_of(text)
     named = find_vehicles(text) if words else {}
-    # What is measured goes before what is only rated.
+    # Cars with a measured road load come before rated ones.
     candidates = {key: name for key, name in named.items() if key not in rated_cars()} or named
     close = [key for key, name in candidates.items() if {*words_of(name)[1:]} <= {*words}]
     for keys in (list(candidates), close):
@@ -298,7 +298,7 @@ def _generic() -> Vehicle:
 
 
 def _rated(key: str) -> Vehicle:
-    """Any car, given what this one is sold with."""
+    """Prior of any car, given the ratings of this one."""
     any_car, car = _generic(), rated_cars()[key]
     priors, correlations = car.given(any_car.priors, any_car.correlation)
     return replace(
