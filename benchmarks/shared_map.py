@@ -107,7 +107,8 @@ def whitened(recorded: RecordedCar, orthogonal: bool) -> Energies:
     explained = network.share_of_terms(driving, moved.terms, on_grid(moved)) * orthogonal
     for drive in drives:
         seconds = np.cumsum([0.0, *(interval.duration for interval in drive)])
-        done = [posterior.passed(equation, *pair) for pair in zip(drive, seconds, strict=False)]
+        pairs = zip(drive, seconds, strict=False)
+        done = [posterior.interval_terms(equation, *pair) for pair in pairs]
         rows = np.array([passed.journey.row for passed in done])
         noise = [scale @ p.journey.noise + p.interval.sampling_variance for p in done]
         root = np.linalg.cholesky(rows @ covariance @ rows.T + np.diag(noise))
