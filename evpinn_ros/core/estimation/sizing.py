@@ -39,10 +39,10 @@ MOST_INTERVALS, MOST_READINGS = 180, 300_000  # after which the size is settled
 FIRST_LOOK_NS, LATER_LOOK = 240 * NANOSECONDS, 1.2  # into a drive; the next over that
 LIKELY = math.log(1e3)  # log odds from which on another size is taken
 # From the car. Nearer ones (vans, city cars, three-wheelers of 800 kg) are within reach of its
-# priors: whole drives of such a three-wheeler gain by another size (CRPS 13.7 to 11.3) what
-# 200 s lose (8.9 to 11.7).
+# priors: a three-wheeler of 800 kg that was taken for one of 107 kg gained on whole drives (CRPS
+# 13.7 to 11.3) what it lost on 200 s (8.9 to 11.7).
 FAR = math.log(3.5)
-SURE = 3.0  # sigmas of the logarithm from the car
+SURE = 0.5  # 1-sigma of the logarithm; more is two sizes at once, early in a drive
 ALIKE = 4.0  # neighbouring intervals of which one counts: their errors are alike
 NOISE_FLOOR = 0.05  # of the root mean square energy of an interval
 # Terms: kinetic energy gained, lost, weight times distance, drag, time. Of a car of two tonnes,
@@ -72,8 +72,8 @@ class Size(NamedTuple):
     @property
     def is_another(self) -> bool:
         """True if no passenger car is of this size."""
-        far = abs(math.log(self.value)) > max(FAR, SURE * self.std)
-        return far and self.log_odds > LIKELY
+        far = abs(math.log(self.value)) > FAR
+        return far and self.log_odds > LIKELY and self.std < SURE
 
 
 class Intervals(NamedTuple):
