@@ -149,6 +149,8 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
     """The files of a bag, opened; what is missing or beside them goes to `problems`."""
     if not path.is_dir():
         return [_open_alone(path, problems)]
+    if (path / METADATA).exists():
+        check_file(path / METADATA)  # a pipe is no damage
     metadata = _metadata(path / METADATA, problems)
     mode = _mode(metadata)
     paths, others = _files(path, "mcap"), _files(path, "db3")

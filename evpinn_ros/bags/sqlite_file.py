@@ -1,6 +1,6 @@
 """One `.db3` file of rosbag2: two tables, read by plain queries that end.
 
-What computes is refused: SQLite follows views and generated columns, also without an end. It
+What computes is refused: SQLite follows views, generated columns and defaults, without an end. It
 applies a killed recording's journal when it opens a private copy of both to write.
 """
 
@@ -43,7 +43,8 @@ MOST_TOPICS = 10_000
 MESSAGE_BYTES = """SELECT total(
     CASE typeof(data) WHEN 'blob' THEN length(data) WHEN 'text' THEN 1e18 ELSE 0 END
 ) FROM messages NOT INDEXED"""
-COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS|WITHOUT)\b", re.I)  # in the definition of a table
+# In the definition of a table.
+COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS|WITHOUT|DEFAULT)\b", re.I)
 TOPIC_COLUMNS = ("id", "name", "type", "serialization_format")
 LATER_COLUMNS = ("offered_qos_profiles", "type_description_hash")  # not in bags of old
 

@@ -11,8 +11,9 @@ from shutil import rmtree
 import sqlite3
 from typing import Any
 
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import TypesysError
 
 from evpinn_ros.bags.channel import Channel
@@ -28,6 +29,19 @@ class Storage(str, Enum):
 
     MCAP = "mcap"
     SQLITE3 = "sqlite3"
+
+
+def _sqlite3_writer(path: Path, _: CompressionMode) -> Any:
+    """The library's own, which takes a path as an address, in which #, ? and % are no letters."""
+    writer = object.__new__(Sqlite3Writer)
+    writer.path = path / f"{path.name}.db3"
+    writer.conn = sqlite3.connect(writer.path)
+    writer.conn.executescript(writer.SQLITE_SCHEMA)
+    writer.cursor = writer.conn.cursor()
+    return writer
+
+
+Writer.STORAGE_PLUGINS[StoragePlugin.SQLITE3] = _sqlite3_writer
 
 
 def change_storage(

@@ -237,8 +237,8 @@ class _Lines:
         self._timed = {".asc": self._asc, ".log": self._candump}.get(suffix, self._whole)()
 
     def peek(self, count: int) -> list[str]:
-        """The next lines, so many at most, which will come again; empty ones at the end."""
-        while len(self._peeked) < count:
+        """The next lines, fewer of long ones, which will come again; empty ones at the end."""
+        while len(self._peeked) < count and sum(map(len, self._peeked)) <= LONGEST_LINE:
             self._peeked.append(self._readline())
         return [line.lstrip("\ufeff") for line in self._peeked]
 

@@ -14,7 +14,6 @@ import fcntl
 import os
 from pathlib import Path
 import re
-import shutil
 from tempfile import mkstemp
 import time
 from typing import BinaryIO, TextIO
@@ -120,9 +119,14 @@ def mark(path: Path) -> None:
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a file to a place where there is none yet."""
+    """Copy a file to a place where there is none yet, without filling its holes."""
     with open_file(source) as content, new_file(target) as copy:
-        shutil.copyfileobj(content, copy, MEBIBYTE)
+        for begin, end in _data_of(content):
+            content.seek(begin)
+            copy.seek(begin)
+            while piece := content.read(min(MEBIBYTE, end - content.tell())):
+                copy.write(piece)
+        copy.truncate(os.fstat(content.fileno()).st_size)
 
 
 class Held:
@@ -199,6 +203,19 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] 
         if target in written:
             raise InputError(f"{path}: two results would be written there")
         written.add(target)
+
+
+def _data_of(file: BinaryIO) -> Iterator[tuple[int, int]]:
+    """Where a file holds data, between holes that may have any size."""
+    end = 0
+    try:
+        while True:
+            begin = os.lseek(file.fileno(), end, os.SEEK_DATA)
+            end = os.lseek(file.fileno(), begin, os.SEEK_HOLE)
+            yield begin, end
+    except OSError as error:
+        if error.errno != errno.ENXIO:  # which says that there is no more
+            raise
 
 
 def _refuse_input(path: Path, target: Path) -> None:

@@ -8,15 +8,15 @@ polars cannot read a file with a `NaN` or a torn last line.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 import csv
 import json
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.common.opener import MOST_COLUMNS, open_file
+from evpinn_ros.common.opener import LONGEST_LINE, MOST_COLUMNS, open_file
 from evpinn_ros.common.writer import new_table, plain_cell
 
 NESTED = dict, list
@@ -31,7 +31,7 @@ def write_objects(path: Path, out: Path) -> None:
             rows = list(map(flat, longest_list(_decoded(file.read().decode("utf-8-sig")))))
             return _write(rows, rows, out)
     with open_file(path) as names, open_file(path) as values:
-        _write(map(_object, names), map(_object, values), out)
+        _write(_objects(names), _objects(values), out)
 
 
 def longest_list(document: object) -> list[dict[str, Any]]:
@@ -74,6 +74,14 @@ def _write(
                 table.writerow([_cell(row.get(name)) for name in names])
     if bad:
         raise InputError(f"{len(bad)} lines are no JSON objects, the first is line {bad[0]}")
+
+
+def _objects(file: IO[bytes]) -> Iterator[dict[str, Any] | None]:
+    """The objects of lines up to one without an end, which is none."""
+    while line := file.readline(LONGEST_LINE + 1):
+        yield _object(line)
+        if len(line) > LONGEST_LINE:
+            return
 
 
 def _object(line: bytes) -> dict[str, Any] | None:

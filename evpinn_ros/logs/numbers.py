@@ -16,6 +16,8 @@ with optional_imports():
 
 # What apps write where a value is missing; NaN is MATLAB's and pandas'.
 MISSING = frozenset(("", "na", "n/a", "nan", "none", "null", "-", "--", "---", "?", "no data"))
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Between these all is measured, whatever the unit; beyond them squares would be none."""
 _SPACES = "[ \u00a0\u202f'\u2019_]"
 
 
@@ -58,7 +60,7 @@ def _certain(style: Style) -> str:
 
 
 def to_floats(cells: Cells, style: Style) -> NDArray[np.float64]:
-    """The numbers of cells, NaN where there is none; shape as the cells."""
+    """The numbers of cells, NaN where there is none or an absurd one; shape as the cells."""
     series = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     values = series.cast(pl.Float64, strict=False)
     left = values.is_null() & (series != "")
@@ -76,4 +78,6 @@ def to_floats(cells: Cells, style: Style) -> NDArray[np.float64]:
         again = written.cast(pl.Float64, strict=False)
         keep = again if style == COMMA else values.fill_null(again)
         values = keep
-    return np.asarray(values.fill_null(float("nan")))
+    numbers = np.asarray(values.fill_null(float("nan")))
+    sizes = np.abs(numbers)
+    return np.where(sizes < LARGEST, np.where(sizes > SMALLEST, numbers, 0.0), np.nan)

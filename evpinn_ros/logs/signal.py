@@ -46,8 +46,7 @@ def last_known(values: FloatArray) -> FloatArray:
 def pull(speed: Signal, power: Signal) -> float:
     """Power over speed times acceleration: the mass, kg, for W and m/s; NaN if not alike."""
     times, change = accelerations(speed)
-    with np.errstate(over="ignore"):  # damaged cells, left out below
-        kinetic = change * at_times(speed, times)
+    kinetic = change * at_times(speed, times)
     drawn = at_times(power, times)
     both = np.isfinite(kinetic) & np.isfinite(drawn)
     if both.sum() < LEAST_EVENTS or not kinetic[both].any() or not np.ptp(drawn[both]):

@@ -27,7 +27,7 @@ from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.recover import recover
 from evpinn_ros.bags.storage import Storage, change_storage
-from evpinn_ros.can.logs import LogFile
+from evpinn_ros.can.logs import LogFile, _Lines
 from evpinn_ros.common import opener
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import FREE_BYTES, LONGEST_LINE, most_unpacked
@@ -321,6 +321,7 @@ COMPUTED = "CREATE TABLE computed(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblo
         (ENDLESS, "has a view that computes"),
         (COMPUTED, "has a table that computes"),
         ("ALTER TABLE messages ADD x GENERATED ALWAYS AS (zeroblob(1e9))", "table that computes"),
+        (f"ALTER TABLE topics ADD x DEFAULT '{'x' * 90_000}'", "table that computes"),
         ("CREATE TRIGGER t AFTER INSERT ON topics BEGIN SELECT 1; END", "a trigger that computes"),
         (
             "".join(f"CREATE TABLE t{number}(a);" for number in range(100)) + COMPUTED,
@@ -469,6 +470,25 @@ def test_a_line_without_an_end_is_not_read(tmp_path, name):
     path.write_bytes(gzip.compress(head + b"1" * (LONGEST_LINE + 1)))
     with pytest.raises(InputError, match="a line is longer than 1000000 characters"):
         list(open_drive(path, 350.0).readings() if head else LogFile(path).frames())
+
+
+@pytest.mark.timeout(60)
+def test_zeros_are_not_read_to_their_end(tmp_path):
+    """Lines of them are no more than others; 8 GB took 200 lines, or 2 GiB."""
+    for name in ("a.log", "a.asc", "a.trc", "a.jsonl"):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(8 << 30)
+    lines = _Lines((tmp_path / "a.log").open(), ".log")
+    assert len(lines.peek(200)) == 1
+    for name in ("a.log", "a.asc", "a.trc"):
+        with pytest.raises(InputError, match="longer than 1000000 characters"):
+            list(LogFile(tmp_path / name).frames())
+    rows = "".join(f'{{"t_s": {t}, "speed_mps": 10, "power_w": 2}}\n' for t in range(5000))
+    with (tmp_path / "a.jsonl").open("r+") as file:
+        file.write(rows)
+    drive = open_drive(tmp_path / "a.jsonl")
+    assert sum(isinstance(reading, SpeedReading) for reading in drive.readings()) == 5000
+    assert "1 lines are no JSON objects, the first is line 5001" in drive.problem
 
 
 def test_zeros_behind_a_drive_are_not_read_to_their_end(tmp_path):

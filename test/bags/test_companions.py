@@ -110,6 +110,24 @@ def test_a_journal_without_a_header_copies_nothing(tmp_path, monkeypatch, begin)
     assert problem is None if not begin[0] else "a.db3-wal beside it has no header" in problem
 
 
+@pytest.mark.timeout(60)
+def test_a_journal_of_holes_is_copied_as_it_is(tmp_path, monkeypatch):
+    """One of 8 GB filled the disk with zeros."""
+    path = killed_recording(tmp_path / "a.db3", "WAL")
+    with path.with_name("a.db3-wal").open("r+b") as log:
+        log.truncate(8 << 30)
+    copied, held = sqlite_file.copy_file, {}
+
+    def and_measured(source, target):
+        copied(source, target)
+        held[source] = (target.stat().st_size, 512 * target.stat().st_blocks)
+
+    monkeypatch.setattr(sqlite_file, "copy_file", and_measured)
+    assert numbers(path) == (list(range(COUNT)), None)
+    size, blocks = held[path.with_name("a.db3-wal")]
+    assert size == 8 << 30 and blocks < 1 << 20
+
+
 def test_a_journal_that_cannot_be_read_is_named(tmp_path):
     """One that names another file: SQLite may delete that."""
     path = killed_recording(tmp_path / "a.db3", "WAL")

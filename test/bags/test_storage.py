@@ -61,10 +61,16 @@ def test_stopped_it_leaves_a_whole_bag_up_to_there(tmp_path):
 
 @pytest.mark.parametrize("name", ["a#1.mcap", "a?mode=rw.mcap", "a%20b.mcap", "50% [1].mcap"])
 def test_a_file_of_any_name_changes_its_storage(tmp_path, name):
+    """A new `a#1` was written to the file `a` beside it, and was an empty folder itself."""
     (file,) = URBAN.glob("*.mcap")
     shutil.copy(file, tmp_path / name)
-    change_storage(tmp_path / name, tmp_path / "new", Storage.SQLITE3)
-    assert raw(tmp_path / "new") == raw(URBAN)
+    out = tmp_path / f"to {name}" / name
+    change_storage(tmp_path / name, out, Storage.SQLITE3)
+    with BagReader(out) as bag:
+        messages = sorted((c.topic, c.type_name, t, data) for t, c, data in bag.stored())
+    assert messages == raw(URBAN)
+    there = {path for path in tmp_path.rglob("*") if path.is_file()}
+    assert there == {tmp_path / name, out / f"{name}.db3", out / "metadata.yaml"}
 
 
 @pytest.mark.timeout(20)
