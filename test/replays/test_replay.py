@@ -120,6 +120,31 @@ def test_a_speed_that_is_late_at_random_changes_no_measured_energy(once, vehicle
     assert abs(error) < 2.0 * states[0].consumed_sigma
 
 
+@pytest.mark.parametrize("seconds", [5.0, 10.0, 25.0, 60.0, 120.0])
+def test_what_is_taken_while_speed_and_battery_are_silent_is_in_sigma(vehicle, seconds):
+    """Where they are NaN too, which changes nothing."""
+    at = np.arange(0.0, 130.0 + seconds, 0.1)
+    speed = np.maximum(0.0, 12.0 + 8.0 * np.sin(at / 7.0) + 5.0 * np.sin(at / 3.1))
+    wheels = (1900.0 * np.gradient(speed, at) + 186.0 + 0.4 * speed**2) * speed
+    power = 800.0 + np.where(wheels > 0.0, wheels / 0.9, 0.7 * wheels)
+    told = np.where((at >= 100.0) & (at < 100.0 + seconds), math.nan, 1.0)
+    stamps = 1_700_000_000 * NANOSECONDS + np.rint(at * NANOSECONDS).astype(np.int64)
+    rows = zip(
+        stamps.tolist(), (told * speed).tolist(), (told * power / -350).tolist(), strict=True
+    )
+    pairs = [(SpeedReading(ns, v), BatteryReading(ns, 350.0, i)) for ns, v, i in rows]
+    states = []
+    for given in (pairs, [pair for pair in pairs if not math.isnan(pair[0].speed)]):
+        used = chain(vehicle)
+        assert [*used.add_readings(reading for pair in given for reading in pair)]
+        used.account.flush()
+        states.append(used.account.state)
+    state, of_silence = states
+    assert state == of_silence and state.unknown_s == pytest.approx(seconds, abs=0.2)
+    taken = ((power[1:] + power[:-1]) / 2).sum() / 10
+    assert abs(state.consumed - taken) < 2.0 * state.consumed_sigma
+
+
 def test_a_stray_stamp_stops_nothing(readings, vehicle):
     """One speed and one battery from the far future, and one impossible speed from there too."""
     future, used = 2**62, chain(vehicle)
