@@ -54,7 +54,7 @@ setup(
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}", ["LICENSE", "package.xml"]),
         *shared_files("config", "launch", "bags"),
         # Where `ros2 run` looks. Not as `scripts`: the first line of those is left to pip.
         (f"lib/{NAME}", ["examples/eco_speed_planner.py", "examples/simulated_robot.py"]),

@@ -32,7 +32,7 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.parameters import overrides
 from evpinn_ros.report.figure import save_figure
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.estimates import output_messages
+from evpinn_ros.topics.energies import output_messages
 
 ROOT = Path(__file__).resolve().parents[1]
 VEHICLE, DRIVE = "tesla_model_3_lr", "urban"

@@ -42,7 +42,8 @@ from evpinn_ros.replays.forecasts import known_model
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 from evpinn_ros.topics import DIAGNOSTICS, DIAGNOSTICS_TYPE, FORECAST, NAMED_VECTOR_TYPE, NAMESPACE
-from evpinn_ros.topics.estimates import breakdown_messages, output_messages
+from evpinn_ros.topics.energies import output_messages
+from evpinn_ros.topics.estimates import breakdown_messages
 from evpinn_ros.topics.messages import diagnostics, header
 from evpinn_ros.topics.plans import forecast_message
 from evpinn_ros.topics.readings import reading_messages

@@ -24,10 +24,8 @@ from evpinn_ros.nodes.live.data import WATCHED, LiveData
 from evpinn_ros.nodes.live.screen import screen
 from evpinn_ros.replays.chain import Chain
 from evpinn_ros.topics import BATTERY, DIAGNOSTICS, NAMESPACE, SPEED, topic_of
-from evpinn_ros.topics.estimates import (
-    breakdown_messages,
-    output_messages,
-)
+from evpinn_ros.topics.energies import output_messages
+from evpinn_ros.topics.estimates import breakdown_messages
 from evpinn_ros.topics.messages import diagnostics
 from evpinn_ros.topics.readings import to_reading
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import math
 import time
 
-from evpinn_ros.can.control_unit import Send
 from evpinn_ros.can.current_sign import CurrentSign
 from evpinn_ros.can.decoder import Decoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.guard import FitGuard
 from evpinn_ros.can.poller import Poller
 from evpinn_ros.can.profile import CanProfile
+from evpinn_ros.can.request import Send
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 STALE_PERIODS = 10

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
 import logging
 import math
 
@@ -12,7 +11,7 @@ import isotp
 from udsoncan.ResponseCode import ResponseCode
 
 from evpinn_ros.can.frame import CanFrame
-from evpinn_ros.can.request import Address, RequestRule
+from evpinn_ros.can.request import Address, Answer, RequestRule, Send
 
 ANSWER_TIMEOUT_S = 1.0
 PENDING_TIMEOUT_S = 5.0
@@ -33,18 +32,6 @@ NEGATIVE = 0x7F
 LOGGER = "evpinn_ros.isotp"
 LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
 logging.getLogger(LOGGER).disabled = True  # it warns of every damaged frame, which we count
-
-Send = Callable[[CanFrame], bool]
-"""Puts a frame on the bus; False when there is no bus now. Its stamp means nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """A positive answer: when its first frame came, to what, and what stands behind the echo."""
-
-    stamp_ns: int
-    request: RequestRule
-    data: bytes
 
 
 class ControlUnit:

@@ -7,11 +7,10 @@ from collections.abc import Callable, Collection, Mapping
 import math
 from typing import Any
 
-from evpinn_ros.can.control_unit import Answer
 from evpinn_ros.can.fit import MessageFit, ProfileFit
 from evpinn_ros.can.frame import MOST_IDS, BusId, CanFrame
 from evpinn_ros.can.profile import ONLY_ASKED, CanProfile, MessageRule
-from evpinn_ros.can.request import AnswerField
+from evpinn_ros.can.request import Answer, AnswerField
 from evpinn_ros.can.signal_rule import UnusableError
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,

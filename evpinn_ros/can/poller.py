@@ -9,12 +9,11 @@ import math
 import threading
 import time
 
-from evpinn_ros.can.control_unit import ControlUnit, Send
 from evpinn_ros.can.decoder import AnswerDecoder
 from evpinn_ros.can.frame import BusId, CanFrame
 from evpinn_ros.can.profile import ONLY_ASKED, CanProfile
 from evpinn_ros.can.read_only import ReadOnlyGate
-from evpinn_ros.can.request import Address, RequestRule
+from evpinn_ros.can.request import Address, RequestRule, Send
 from evpinn_ros.can.restraint import Leave, Restraint
 from evpinn_ros.core.signals.readings import Reading
 
@@ -47,6 +46,9 @@ class Poller:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Prepare to ask, or to listen where `send` is None."""
+        # Here: a car that is not asked needs no ISO-TP and UDS.
+        from evpinn_ros.can.control_unit import ControlUnit
+
         self.contradicted = False  # set where this is another car: nothing is asked
         self._profile, self._clock = profile, clock
         self._decoder = AnswerDecoder(profile)

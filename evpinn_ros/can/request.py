@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 import re
 from typing import Literal
 
 from evpinn_ros.can.diagnostic_ids import LAST_11_BIT_ID, refusal
-from evpinn_ros.can.frame import BusId
+from evpinn_ros.can.frame import BusId, CanFrame
 from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible, signal_rule
 from evpinn_ros.common.yaml_section import Section
 
@@ -26,6 +26,10 @@ QUESTIONS_PER_S = 25
 REQUEST_KEYS = ("tx", "rx", "target", "source", "read", "min_length", "period")
 VALUE_KEYS = ("request", "first_byte", "type", "offset", *RULE_KEYS)
 _TYPE = re.compile(r"(?P<sign>[su])(?P<bits>8|16|24|32)(?P<little>_le)?")
+
+
+Send = Callable[[CanFrame], bool]
+"""Puts a frame on the bus; False when there is no bus now. Its stamp means nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,15 @@ class RequestRule:
     def echo(self) -> bytes:
         """First bytes of a positive answer."""
         return bytes((self.payload[0] + 0x40,)) + self.payload[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A positive answer: when its first frame came, to what, and what stands behind the echo."""
+
+    stamp_ns: int
+    request: RequestRule
+    data: bytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,8 @@ from evpinn_ros.nodes.typed import (
     assumed_conditions,
 )
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.estimates import output_messages, read_identifiable, read_power
+from evpinn_ros.topics.energies import output_messages
+from evpinn_ros.topics.estimates import read_identifiable, read_power
 from evpinn_ros.topics.messages import BadMessage, Level
 from evpinn_ros.topics.model import read_model
 from evpinn_ros.topics.plans import (

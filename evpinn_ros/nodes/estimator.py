@@ -26,7 +26,7 @@ from evpinn_ros.nodes.estimator_diagnosis import estimator_phases, estimator_sta
 from evpinn_ros.nodes.factory import installed, new_message
 from evpinn_ros.nodes.keeper import Actions, Keeper
 from evpinn_ros.topics import Topic
-from evpinn_ros.topics.estimates import breakdown_messages, output_messages
+from evpinn_ros.topics.estimates import breakdown_messages, estimate_messages
 from evpinn_ros.topics.model import model_message
 from evpinn_ros.topics.readings import to_reading
 from evpinn_ros.topics.settings import estimator_settings, imu_mounting
@@ -128,13 +128,13 @@ class EstimatorNode(GuardedNode):
         """Let the estimator have a reading, and publish what it says."""
         now, completed = self.estimator.add_reading(reading, breakdowns=True)
         if now is not None:
-            self.publish(output_messages(new_message, now))
+            self.publish(estimate_messages(new_message, now))
         if completed is not None:
             self._publish_completed(completed)
 
     def _publish_completed(self, outputs: Outputs) -> None:
         for _, output in outputs.in_order():
-            self.publish(output_messages(new_message, output))
+            self.publish(estimate_messages(new_message, output))
         for learned in outputs.learned:  # once a second
             stamp_ns = learned.parameters.stamp_ns
             self.publish(breakdown_messages(new_message, stamp_ns, learned.breakdown))

@@ -27,7 +27,8 @@ from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import metrics
 from evpinn_ros.replays.totals import health, totals, with_left_out
 from evpinn_ros.topics import NAMESPACE
-from evpinn_ros.topics.estimates import breakdown_messages, output_messages
+from evpinn_ros.topics.energies import output_messages
+from evpinn_ros.topics.estimates import breakdown_messages
 from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start that are not scored

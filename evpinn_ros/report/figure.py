@@ -19,10 +19,10 @@ from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.replays.history import Drive, History
 from evpinn_ros.replays.scoring import longest_step, running_total
 from evpinn_ros.topics import topic_of
+from evpinn_ros.topics.energies import read_energy
 from evpinn_ros.topics.estimates import (
     POWER_KINDS,
     read_breakdown,
-    read_energy,
     read_parameters,
     read_power,
 )

@@ -1,4 +1,4 @@
-"""Outputs of estimator and energy meter as ROS 2 messages; readers raise `BadMessage`."""
+"""Outputs of the estimator as ROS 2 messages; readers raise `BadMessage`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from typing import Any
 
 from evpinn_ros import topics
 from evpinn_ros.common.units import JOULES_PER_KWH
-from evpinn_ros.core.energy.account import AccountSummary, EnergyTotals
 from evpinn_ros.core.energy.charge import Uncertain
-from evpinn_ros.core.energy.meter import EnergyState, Flow
 from evpinn_ros.core.estimation.breakdown import Breakdown
 from evpinn_ros.core.estimation.estimate import (
     ParameterEstimate,
@@ -38,16 +36,11 @@ POWER_TOPICS = {
 }
 POWER_KINDS = {topic: kind for kind, topic in POWER_TOPICS.items()}
 POWER, LAG = "power", "lag"
-FLOWS = ("measured", "predicted", "rknn", "regenerated")
 UNMEASURED_ENERGY = "unmeasured_energy"  # J, predicted since the battery was last measured
-JOULES_PER_METRE = 3.6  # in a Wh/km
 BOUNDS = ("lower", "upper", "prior_share")
-UNKNOWN_FLOW = Flow(math.nan, math.nan, math.nan)
 
 
-def output_messages(
-    new: NewMessage, output: Output | EnergyState | AccountSummary
-) -> Iterator[tuple[Topic, Any]]:
+def estimate_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, Any]]:
     """Every message of one output; ValueError, and nothing to publish, if not finite."""
     if isinstance(output, PowerEstimate):
         names, values, sigmas = [POWER], [output.power], [output.sigma]
@@ -56,10 +49,6 @@ def output_messages(
             values.append(output.energy)
             sigmas.append(output.energy_sigma)
         yield POWER_TOPICS[output.kind], named_vector(new, output.stamp_ns, names, values, sigmas)
-    elif isinstance(output, EnergyState):
-        yield from _energy_messages(new, output)
-    elif isinstance(output, AccountSummary):
-        yield from _summary_messages(new, output)
     else:
         yield from _parameter_messages(new, output)
 
@@ -69,11 +58,11 @@ def _parameter_messages(
 ) -> Iterator[tuple[Topic, Any]]:
     stamp_ns = parameter_set.stamp_ns
     parameters = {name: Uncertain(p.value, p.std) for name, p in parameter_set.parameters.items()}
-    live = _vector(new, stamp_ns, parameters)
+    live = uncertain_vector(new, stamp_ns, parameters)
     yield topics.PARAMETERS, live
     sums = map(Uncertain, parameter_set.identifiable, parameter_set.identifiable_std)
     combined = dict(zip(IDENTIFIABLE_NAMES, sums, strict=True))
-    yield topics.IDENTIFIABLE, _vector(new, stamp_ns, combined)
+    yield topics.IDENTIFIABLE, uncertain_vector(new, stamp_ns, combined)
     bounds = {
         f"{name}_{bound}": getattr(estimate, bound)
         for name, estimate in parameter_set.parameters.items()
@@ -83,7 +72,7 @@ def _parameter_messages(
     if parameter_set.reliable:
         yield topics.RELIABLE, live
     if (lag := parameter_set.lag) is not None:
-        yield topics.LAG, _vector(new, stamp_ns, {LAG: Uncertain(lag.seconds, lag.sigma)})
+        yield topics.LAG, uncertain_vector(new, stamp_ns, {LAG: Uncertain(lag.seconds, lag.sigma)})
     for topic in topics.PARAMETER_SCALARS:
         name = topic.name.rpartition("/")[2]
         yield topic, scalar(new, parameter_set.parameters[name].value)
@@ -100,66 +89,13 @@ def breakdown_messages(
         name: Uncertain(amount.kwh * JOULES_PER_KWH, amount.sigma_kwh * JOULES_PER_KWH)
         for name, amount in amounts.items()
     }
-    yield topics.ENERGY_BREAKDOWN, _vector(new, stamp_ns, energies)
+    yield topics.ENERGY_BREAKDOWN, uncertain_vector(new, stamp_ns, energies)
 
 
-def _energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topic, Any]]:
-    power = state.measured.power if state.measuring else state.predicted.power
-    consumed = Flow(state.consumed, power, state.consumed_sigma)
-    flows = state.measured, state.predicted, state.rknn, state.regenerated, consumed
-    # A sum is finite if both are.
-    finite = [
-        (name, *flow)
-        for name, flow in zip((*FLOWS, "consumed"), flows, strict=True)
-        if math.isfinite(flow.energy + flow.power)
-    ]
-    if finite:
-        names, energies, powers, sigmas = zip(*finite, strict=True)
-        vector = named_vector(new, state.stamp_ns, names, energies, sigmas, powers)
-        yield topics.ENERGY_STATE, vector
-    yield topics.ENERGY_CONSUMED, scalar(new, state.consumed)
-
-
-def _summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tuple[Topic, Any]]:
-    totals = _totals("", summary.since_reset) | _totals("lifetime_", summary.lifetime)
-    yield topics.ENERGY_TOTALS, _vector(new, summary.stamp_ns, totals)
-    driven = {
-        f"wh_per_km_{name}": cost / JOULES_PER_METRE for name, cost in summary.consumption.items()
-    }
-    driven |= {
-        "distance_trip": summary.since_reset.distance,
-        "distance_lifetime": summary.lifetime.distance,
-    }
-    consumption = named_vector(new, summary.stamp_ns, list(driven), list(driven.values()))
-    yield topics.ENERGY_CONSUMPTION, consumption
-    values_by_name = {
-        "usable_energy": summary.usable,
-        "state_of_charge": summary.charge,
-        "capacity": summary.capacity,
-    }
-    if summary.remaining is not None:
-        distance, sigma, lower, upper = summary.remaining
-        values_by_name |= {
-            "distance_to_empty": Uncertain(distance, sigma),
-            "distance_lower": Uncertain(lower, 0.0),
-            "distance_upper": Uncertain(upper, 0.0),
-        }
-    finite = {name: value for name, value in values_by_name.items() if value.known}
-    if finite:
-        yield topics.ENERGY_RANGE, _vector(new, summary.stamp_ns, finite)
-
-
-def _totals(prefix: str, totals: EnergyTotals) -> dict[str, Uncertain]:
-    """Drawn and regenerated energy are as unsure as the net energy that they are parts of."""
-    net = totals.net
-    return {
-        f"{prefix}net": net,
-        f"{prefix}drawn": Uncertain(totals.drawn, net.sigma),
-        f"{prefix}regenerated": Uncertain(totals.regenerated, net.sigma),
-    }
-
-
-def _vector(new: NewMessage, stamp_ns: int, values_by_name: Mapping[str, Uncertain]) -> Any:
+def uncertain_vector(
+    new: NewMessage, stamp_ns: int, values_by_name: Mapping[str, Uncertain]
+) -> Any:
+    """A named vector of values and their 1-sigma."""
     values, sigmas = zip(*values_by_name.values(), strict=True)
     return named_vector(new, stamp_ns, list(values_by_name), values, sigmas)
 
@@ -197,28 +133,6 @@ def read_breakdown(message: Any) -> dict[str, tuple[float, float]]:
         name: (energy / JOULES_PER_KWH, vector.sigmas.get(name, math.nan) / JOULES_PER_KWH)
         for name, energy in vector.values.items()
     }
-
-
-def read_energy(message: Any) -> EnergyState:
-    """The flows of a meter; what is not on its topic is NaN or zero."""
-    vector = read_named_vector(message)
-    flows = {
-        name: Flow(vector.values[name], vector.rates[name], vector.sigmas.get(name, math.nan))
-        if name in vector.rates
-        else UNKNOWN_FLOW
-        for name in FLOWS
-    }
-    return EnergyState(
-        stamp_ns=vector.stamp_ns,
-        **flows,
-        consumed=math.nan,
-        consumed_sigma=math.nan,
-        gaps=0,
-        dropped=0,
-        unmeasured_s=math.nan,
-        unknown_s=math.nan,
-        measuring="measured" in vector.values,
-    )
 
 
 def read_parameters(parameters: Any, combined: Any, bounds: Any) -> ParameterSet:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, PaperOptimizer
 from evpinn_ros.core.signals.road import GradeSource
 from evpinn_ros.core.signals.stream import StreamSettings
 from evpinn_ros.core.signals.time_jump import JumpPolicy, JumpRule
@@ -14,9 +13,15 @@ from evpinn_ros.core.vehicle.physics import RegenForm
 from evpinn_ros.topics.node_parameters import roll_pitch_yaw
 from evpinn_ros.topics.readings import Rotation, rotation
 
+if TYPE_CHECKING:
+    from evpinn_ros.core.estimation.estimator import EstimatorSettings
+
 
 def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
     """Settings of the estimator from all parameters of its table, by name and checked."""
+    # Here: the node `energy` needs none of it.
+    from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, PaperOptimizer
+
     stream = StreamSettings(
         smoothing_lag=values["smoothing_lag"],
         allowed_lateness=values["allowed_lateness"],

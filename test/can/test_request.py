@@ -5,10 +5,10 @@ import re
 import pytest
 
 from evpinn_ros.can.bridge import CanBridge
-from evpinn_ros.can.control_unit import Answer
 from evpinn_ros.can.decoder import AnswerDecoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.profile import load_profile
+from evpinn_ros.can.request import Answer
 from evpinn_ros.common.package_data import share_directory
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from test.can.conftest import ASKING, KONA, refusal

@@ -15,10 +15,22 @@ RECORDINGS = ("apsw", "mcap", "rosbags", "ruamel")  # what reads and writes bags
 BUILDS = ("em", "lark")  # what rclpy loads to make Python of message definitions
 
 
-@pytest.mark.parametrize("nodes", ["estimator, energy", "can_bridge"])
-def test_no_default_node_loads_what_it_does_not_need(loads_without, nodes):
-    others = ("evpinn_ros.core.estimation",) if nodes == "can_bridge" else ("can", "cantools")
-    loads_without(f"from evpinn_ros.nodes import {nodes}", *HEAVY, *RECORDINGS, *others)
+OTHERS = {
+    "estimator": ("can", "cantools", "evpinn_ros.core.energy.meter"),
+    "energy": ("can", "cantools", "evpinn_ros.core.estimation.estimator"),
+    "can_bridge": ("isotp", "udsoncan", "evpinn_ros.core.estimation"),
+}
+
+
+@pytest.mark.parametrize("node", OTHERS)
+def test_no_default_node_loads_what_it_does_not_need(loads_without, node):
+    loads_without(f"from evpinn_ros.nodes import {node}", *HEAVY, *RECORDINGS, *OTHERS[node])
+
+
+def test_the_equation_of_the_default_seed_loads_no_generator_of_numbers(loads_without):
+    code = "from evpinn_ros.core.estimation.terms import Equation"
+    load = "from evpinn_ros.core.vehicle.files import load_vehicle"
+    loads_without(f"{code}; {load}; Equation(load_vehicle('generic'))", "numpy.random")
 
 
 @pytest.mark.parametrize("node", ["estimator", "energy", "can_bridge"])

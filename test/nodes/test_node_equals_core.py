@@ -16,7 +16,7 @@ from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.topics.estimates import output_messages
+from evpinn_ros.topics.energies import output_messages
 from evpinn_ros.topics.readings import to_reading
 
 HEARD = (

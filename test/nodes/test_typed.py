@@ -17,7 +17,8 @@ from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.typed import RATE, SIGMA, TYPED
-from evpinn_ros.topics.estimates import FLOWS, POWER, UNMEASURED_ENERGY
+from evpinn_ros.topics.energies import FLOWS
+from evpinn_ros.topics.estimates import POWER, UNMEASURED_ENERGY
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "evpinn_msgs"

@@ -23,7 +23,7 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.sources import open_source
 from evpinn_ros.replays.chain import Chain
-from evpinn_ros.topics.estimates import output_messages
+from evpinn_ros.topics.energies import output_messages
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 RECORDS = Path(__file__).with_name("golden")

@@ -24,7 +24,7 @@ from evpinn_ros.core.estimation.terms import COUNT
 from evpinn_ros.core.vehicle.identifiable import IDENTIFIABLE_NAMES, Identifiable
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.replays.energy_metrics import account_metrics, breakdown_metrics
-from evpinn_ros.topics import ENERGY_STATE, POWER_SMOOTHED, estimates
+from evpinn_ros.topics import ENERGY_STATE, POWER_SMOOTHED, energies, estimates
 from evpinn_ros.topics.messages import header
 from evpinn_ros.topics.plans import forecast_message
 from test.declared import changes
@@ -84,7 +84,7 @@ def output_bytes(output: Any) -> list[tuple[str, bytes]]:
     """All messages of an output of the estimator or the account, by topic."""
     return [
         (topic.name, encode(message))
-        for topic, message in estimates.output_messages(new_message, output)
+        for topic, message in energies.output_messages(new_message, output)
     ]
 
 
@@ -169,16 +169,13 @@ def test_every_field_has_a_place(name):
 
 
 def test_what_is_read_from_messages_is_what_was_sent():
-    sent = dict(estimates.output_messages(new_message, POWER))
+    sent = dict(energies.output_messages(new_message, POWER))
     assert estimates.read_power(POWER_SMOOTHED, sent[POWER_SMOOTHED]) == POWER
-    heard = estimates.read_energy(
-        dict(estimates.output_messages(new_message, STATE))[ENERGY_STATE]
-    )
+    heard = energies.read_energy(dict(energies.output_messages(new_message, STATE))[ENERGY_STATE])
     names = {"stamp_ns", "measured", "predicted", "rknn", "regenerated", "measuring"}
     assert all(getattr(heard, name) == getattr(STATE, name) for name in names)
     by_topic = {
-        topic.name: message
-        for topic, message in estimates.output_messages(new_message, PARAMETERS)
+        topic.name: message for topic, message in energies.output_messages(new_message, PARAMETERS)
     }
     messages = (by_topic[f"estimate/{name}"] for name in ("parameters", "identifiable", "bounds"))
     read = estimates.read_parameters(*messages)

@@ -27,6 +27,7 @@ UNITS = 96
 SPEED_CENTRE, SPEED_SCALE, FORCE_SCALE = 10.0, 15.0, 1.2  # m/s, m/s, m/s^2
 SPREAD = 1.2  # 1-sigma of an inner weight
 REFERENCE = "config/reference/driving.csv"
+DRAWN = "config/reference/units.csv"  # `drawn_units(0)`
 GRADES = (0.0, 0.0086, -0.0086)  # of the reference, a third of it each
 
 
@@ -42,9 +43,19 @@ class Driving(NamedTuple):
 @cache
 def reference_driving() -> Driving:
     """Driving that the network is orthogonal over: UDDS, HWFET and WLTC at three slopes."""
-    rows = np.array([line.split(",") for line in bundled_lines(REFERENCE)[1:]], float)
+    rows = _bundled_numbers(REFERENCE)
     speed, acceleration, seconds = np.tile(rows, (len(GRADES), 1)).T
     return Driving(speed, acceleration, np.repeat(GRADES, len(rows)), seconds / len(GRADES))
+
+
+def drawn_units(seed: int) -> np.ndarray:
+    """Weights of speed and force, and bias, of each unit, shape (UNITS, 3)."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack((rng.normal(size=(UNITS, 2)) * SPREAD, rng.normal(size=UNITS)))
+
+
+def _bundled_numbers(name: str) -> np.ndarray:
+    return np.array([line.split(",") for line in bundled_lines(name)[1:]], float)
 
 
 class Network(NamedTuple):
@@ -87,8 +98,8 @@ def orthogonal_network(
         force: at the wheels over the mass there, m/s^2, shape (n,).
         terms: of eq. 21 there, W per unit of their coefficient, shape (n, 4).
     """
-    rng = np.random.default_rng(seed)
-    inner, bias = rng.normal(size=(UNITS, 2)) * SPREAD, rng.normal(size=UNITS)
+    units = drawn_units(seed) if seed else _bundled_numbers(DRAWN)
+    inner, bias = units[:, :2], units[:, 2]
     plain = Network(inner, bias, np.eye(UNITS), np.zeros((terms.shape[1], UNITS)))
     power = driving.speed[:, None] * plain.force(driving.speed, force)
     explained = share_of_terms(driving, terms, power)

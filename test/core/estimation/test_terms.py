@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from evpinn_ros.core.estimation.network import reference_driving, share_of_terms
+from evpinn_ros.core.estimation.network import drawn_units, reference_driving, share_of_terms
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, WEIGHTS, State
 from evpinn_ros.core.estimation.terms import COUNT, WHOLE, Part, Warmth, coldness, equation_of
 from evpinn_ros.core.signals.interval import Steps
@@ -138,6 +138,11 @@ def test_power_of_the_prior_car_is_that_of_eq_21():
             air_density=1.2, rotating_mass_factor=CAR.rotating_mass_factor,
         )  # fmt: skip
         assert power == pytest.approx(float(expected[0]), rel=1e-9)
+
+
+def test_bundled_units_are_those_that_seed_0_draws():
+    network = EQUATION.network
+    assert np.array_equal(np.column_stack((network.inner, network.bias)), drawn_units(0))
 
 
 def test_the_network_has_no_part_in_the_terms_of_eq_21():
