@@ -199,7 +199,7 @@ class SqliteFile:
         self._begin_steps()
         try:
             for log_time_ns, id_, data in self._database.execute(query):
-                if not isinstance(log_time_ns, int) or data is None:
+                if not isinstance(log_time_ns, int) or log_time_ns < 0 or data is None:
                     damaged += 1
                     continue
                 held += len(data)  # an index may hold others than the table, and share them

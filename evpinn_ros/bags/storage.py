@@ -67,7 +67,7 @@ def change_storage(
         except InputError:
             rmtree(out, ignore_errors=True)
             raise
-        except (WriterError, TypesysError, sqlite3.Error, OSError) as error:
+        except (WriterError, TypesysError, sqlite3.Error, OverflowError, OSError) as error:
             rmtree(out, ignore_errors=True)
             raise InputError(f"{source} to {out}: {one_line(error)}") from error
         if reader.problem is not None:

@@ -364,9 +364,12 @@ def test_rows_that_are_no_messages_are_counted(tmp_path):
     with closing(sqlite3.connect(path)) as bag, bag:
         bag.execute("UPDATE messages SET data = 1000000000 WHERE id = 3")
         bag.execute("UPDATE messages SET timestamp = 'noon' WHERE id = 5")
+        bag.execute("UPDATE messages SET timestamp = -1 WHERE id = 7")
     with BagReader(path) as reader:
-        assert sum(1 for _ in reader.records()) == 38
-        assert "2 messages without a time or data are not read" in reader.problem
+        assert sum(1 for _ in reader.records()) == 37
+        assert "3 messages without a time or data are not read" in reader.problem
+    with pytest.raises(InputError, match="3 messages without a time"):
+        change_storage(path, tmp_path / "new", Storage.MCAP)
 
 
 def test_a_database_whose_pages_lead_to_one_another_is_refused(tmp_path):

@@ -49,6 +49,20 @@ def test_what_cannot_be_done_is_one_line(tmp_path):
         change_storage(tmp_path / "nowhere", tmp_path / "new", Storage.MCAP)
 
 
+def test_a_time_that_the_other_storage_cannot_hold_is_one_line(tmp_path):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2")
+        channel = writer.register_channel(
+            "/a", "cdr", writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"")
+        )
+        writer.add_message(channel, (1 << 64) - 1, b"\0\1\0\0\0", 1)
+        writer.finish()
+    with pytest.raises(InputError, match="too large"):
+        change_storage(tmp_path / "a.mcap", tmp_path / "new", Storage.SQLITE3)
+    assert not (tmp_path / "new").exists()
+
+
 def test_stopped_it_leaves_a_whole_bag_up_to_there(tmp_path):
     steps = []
     count = change_storage(

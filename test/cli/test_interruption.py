@@ -1,18 +1,25 @@
 """Ctrl-C deferred: what the first and the second do, and whom it leaves alone."""
 
+from importlib import import_module
 import os
 from pathlib import Path
+import shutil
 import signal
 import sys
+import tempfile
 
 import pytest
 import typer
 
 from evpinn_ros import executables
+from evpinn_ros.bags import recover, rosbags_file
+from evpinn_ros.bags.types import new_message
+from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli import main as command
 from evpinn_ros.cli.interruption import INTERRUPTED, Interruption
 from evpinn_ros.common import stopping
 from evpinn_ros.common.errors import InputError
+from evpinn_ros.topics.messages import scalar
 
 
 @pytest.fixture(autouse=True)
@@ -93,18 +100,22 @@ def test_where_it_is_ignored_it_stays_ignored():
 ALL_LINES = 98
 
 
-def _interrupted_at(number: int, stderr: Path) -> int:
-    """Exit code of `evpinn --version` in a fork that gets SIGINT at a line of what starts it.
+STARTING = (executables, command, stopping)
+
+
+def _interrupted_at(number: int, stderr: Path, words=("--version",), modules=STARTING) -> int:
+    """Exit code of `evpinn` in a fork that gets SIGINT at a line of some modules.
 
     Lines count from the first handler on; `ALL_LINES` if there are fewer.
     """
-    files = {module.__file__ for module in (executables, command, stopping)}
+    files = {module.__file__ for module in modules}
     left = [number]
 
     def trace(frame, event, _):
         if frame.f_code.co_filename not in files:
             return None
-        begun = left[0] < number or signal.getsignal(signal.SIGINT) != signal.default_int_handler
+        begun = modules is not STARTING or left[0] < number
+        begun = begun or signal.getsignal(signal.SIGINT) != signal.default_int_handler
         if event == "line" and begun:
             left[0] -= 1
             if left[0] == 0:
@@ -115,7 +126,7 @@ def _interrupted_at(number: int, stderr: Path) -> int:
         code = 99
         try:
             with stderr.open("w") as sys.stderr, Path(os.devnull).open("w") as sys.stdout:
-                sys.argv = ["evpinn", "--version"]
+                sys.argv = ["evpinn", *map(str, words)]
                 sys.settrace(trace)
                 executables.evpinn()
         except SystemExit as ended:
@@ -134,3 +145,27 @@ def test_no_line_of_the_start_and_the_end_shows_a_traceback(tmp_path):
         assert (tmp_path / "stderr").read_text() == ""
     assert len(codes) > 20 and {*codes[:-1]} == {INTERRUPTED, 0}
     assert codes[:-1] == sorted(codes[:-1], reverse=True)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("words", ["recover {0} {1}", "compare {0} {0}"])
+def test_no_line_of_a_bags_reading_and_of_its_folder_shows_a_traceback(tmp_path, words):
+    """Nor is there a half bag: the folder of the new one is removed, or empty, or whole."""
+    with BagWriter(tmp_path / "bag") as bag:
+        for second in range(5):
+            message = scalar(new_message, float(second))
+            bag.write("/ev/battery/voltage", message, second * 10**9)
+    new, modules = tmp_path / "new", (recover, rosbags_file, tempfile)
+    command_words = words.format(tmp_path / "bag", new).split()
+    import_module(f"evpinn_ros.cli.{command_words[0]}")  # once, before the forks
+    number, codes = 1, []
+    while ALL_LINES not in codes:
+        codes.append(_interrupted_at(number, tmp_path / "stderr", command_words, modules))
+        number += 1 + number // 2
+        said = (tmp_path / "stderr").read_text()
+        assert "Traceback" not in said and (codes[-1] != INTERRUPTED or said == "")
+        if new.exists() and any(new.iterdir()):
+            assert (new / "metadata.yaml").exists()
+            shutil.rmtree(new)
+    assert len(codes) > 5 and codes[0] == INTERRUPTED

@@ -194,6 +194,7 @@ SHAPES = (
     "CREATE VIEW other AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
     "SELECT i FROM n",
     "ALTER TABLE {table} ADD other GENERATED ALWAYS AS (zeroblob(1000))",
+    "ALTER TABLE {table} DROP COLUMN {column}; ALTER TABLE {table} ADD {column} DEFAULT 'x'",
     "CREATE TRIGGER other AFTER INSERT ON {table} BEGIN SELECT 1; END",
     "CREATE VIRTUAL TABLE other USING fts5(a)",
     "CREATE TABLE other(a PRIMARY KEY, b) WITHOUT ROWID",
