@@ -131,10 +131,11 @@ def forecast(
             the plan.
 
     Returns:
-        One row for each point, by `t_s` since the first: the plan; power, W (with the acceleration
-        and slope that follow the point); energy since the first point, J, with its 1-sigma; and
-        the state of charge, percent, with its 1-sigma. The charge is NaN if it or the capacity
-        is unknown, and negative where the battery would already be empty.
+        One row for each point (and each 50 m of a track with heights), by `t_s` since the first:
+        the plan; power, W (with the acceleration and slope that follow the point); energy since
+        the first point, J, with its 1-sigma; and the state of charge, percent, with its 1-sigma.
+        The charge is NaN if it or the capacity is unknown, and negative where the battery would
+        already be empty.
 
     Raises:
         InputError: a column is missing, the vehicle does not exist, or the plan is invalid

@@ -90,8 +90,8 @@ def replay(
         elevation=elevation,
     ) as (car_replay, logs):
         if len(logs) > 1:
-            call = f"ev.replay_trips({str(drive)!r}) replays call"
-            raise InputError(f"{drive}: {len(logs)} recordings; {call}")
+            instead = f"ev.replay_trips({str(drive)!r}) replays each"
+            raise InputError(f"{drive}: {len(logs)} recordings; {instead}")
         ((whole,), _) = split(logs[0], whole=True)
         return _result(car_replay, whole)
 

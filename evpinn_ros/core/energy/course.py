@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.core.energy.plan import Legs, Plan, sums
+from evpinn_ros.core.energy.plan import Legs, Plan, sums, telling
 from evpinn_ros.core.estimation.even import PIECE_SECONDS, Path, air_of, even_course
 from evpinn_ros.core.estimation.unevenness import Runs, runs_along
 from evpinn_ros.core.signals.interval import Steps
@@ -78,7 +78,7 @@ def _of_points(
     plan: Plan, density: float, head_wind: float, wind_length: float, piece: float
 ) -> Course:
     """Distance is cubic in time on a line, so speed is the parabola with the given ends."""
-    kept = ~_on_a_line(plan)
+    kept = _telling(plan)
     time, distance, speed, height = (
         column[kept] for column in (plan.time, plan.distance, plan.speed, plan.elevation)
     )
@@ -100,22 +100,34 @@ def _of_points(
     return Course(time, distance, steps, unknown, line, runs)
 
 
-def _on_a_line(plan: Plan) -> np.ndarray:
-    """True for points that lie on the line between their neighbours, shape (n,)."""
+def _telling(plan: Plan) -> np.ndarray:
+    """True for points that do not lie on the line between others, shape (n,)."""
     small, rounding = ON_A_LINE
     time, distance, speed, height = plan.time, plan.distance, plan.speed, plan.elevation
-    before, after = time[1:-1] - time[:-2], time[2:] - time[1:-1]
-    share = before / (before + after)
-    even = speed[:-2] + share * (speed[2:] - speed[:-2])
-    on = np.abs(speed[1:-1] - even) <= small * (1.0 + speed[1:-1])
-    first, second = (speed[:-2] + even) * before, (even + speed[2:]) * after
-    share = np.divide(first, first + second, out=share, where=first + second > 0.0)
-    whole = distance[2:] - distance[:-2]
-    on &= np.abs(distance[1:-1] - distance[:-2] - share * whole) <= rounding
-    way = distance[1:-1] - distance[:-2]
-    share = np.divide(way, whole, out=share, where=whole > 0.0)
-    on &= np.abs(height[1:-1] - height[:-2] - share * (height[2:] - height[:-2])) <= rounding
-    return np.asarray(np.concatenate(([False], on, [False])))
+
+    def even(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, ...]:
+        share = (time[here] - time[start]) / (time[end] - time[start])
+        return share, speed[start] + share * (speed[end] - speed[start])
+
+    def faster(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        _, line = even(here, start, end)
+        return np.asarray(np.abs(speed[here] - line) / (small * (1.0 + speed[here])))
+
+    def farther(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        share, line = even(here, start, end)
+        whole = speed[start] + speed[end]
+        np.divide((speed[start] + line) * share, whole, out=share, where=whole > 0.0)
+        way = share * (distance[end] - distance[start])
+        return np.asarray(np.abs(distance[here] - distance[start] - way) / rounding)
+
+    def higher(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        share, _ = even(here, start, end)
+        way, whole = distance[here] - distance[start], distance[end] - distance[start]
+        np.divide(way, whole, out=share, where=whole > 0.0)
+        climb = share * (height[end] - height[start])
+        return np.asarray(np.abs(height[here] - height[start] - climb) / rounding)
+
+    return telling(len(time), faster, farther, higher)
 
 
 def _middle(duration: np.ndarray, length: np.ndarray, speed: np.ndarray) -> np.ndarray:

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile, travelled
+from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile, telling, travelled
 
 PLAN_STEP = 1.0  # s between points of a plan
 COARSE = 5.0  # s between speeds, above which speed varies between them
+ON_A_LINE = 1e-3  # m/s and m: less than what receivers and logs round to
 ELEVATION_STEP = 5.0  # m
 ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
 MOST_STEPS = 1_000_000  # of elevation; longer drives have longer steps
@@ -26,7 +27,7 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
         altitude: time, s, and m, shape (m, 2); empty for a flat road.
     """
     time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
-    rough = not is_trace(time)
+    rough = float(np.median(np.diff(time))) > COARSE
     # The last step is longer or shorter by half at the most, so that the plan ends as the drive.
     steps = np.arange(0.0, time[-1] - PLAN_STEP / 2, PLAN_STEP)
     grid = time if rough else np.append(steps, time[-1])
@@ -38,9 +39,20 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     return replace(plan_from_speed_profile(grid, None, at, height), commanded=not rough)
 
 
-def is_trace(time: np.ndarray) -> bool:
-    """True if recorded times, s, rising, are close enough to show every change of speed."""
-    return float(np.median(np.diff(time))) <= COARSE
+def is_trace(time: np.ndarray, column: np.ndarray) -> bool:
+    """True if the rows of a plan are close enough to show every change of speed.
+
+    Args:
+        time: s, rising, shape (n,).
+        column: speeds, m/s, or distances, m, there; rows on the line between others say nothing.
+    """
+
+    def away(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        share = (time[here] - time[start]) / (time[end] - time[start])
+        line = column[start] + share * (column[end] - column[start])
+        return np.asarray(np.abs(column[here] - line) / ON_A_LINE)
+
+    return float(np.median(np.diff(time[telling(len(time), away)]))) <= COARSE
 
 
 def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from evpinn_ros.core.energy.plan import (
     check_size,
     refuse,
     sums,
+    telling,
 )
 
 MAX_LEG = 10e3  # m between two points without stamps; more is refused
@@ -87,7 +88,7 @@ def _stamped_plan(time: np.ndarray, distance: np.ndarray, elevation: np.ndarray)
     A point amid a stretch of one mean speed and slope changes nothing: it moves to where the car
     is then.
     """
-    told = ~_is_between(time, distance, elevation)
+    told = _telling(time, distance, elevation)
     knots, along = time[told], distance[told]
     slopes = np.clip(monotone_slopes(knots, along), 0.0, MAX_SPEED)
     speed = np.interp(time, knots, slopes)
@@ -104,17 +105,17 @@ def _stamped_plan(time: np.ndarray, distance: np.ndarray, elevation: np.ndarray)
     return Plan(time, distance, speed, elevation)
 
 
-def _is_between(along: np.ndarray, *columns: np.ndarray) -> np.ndarray:
-    """True for points on the straight line, by `along`, between their neighbours, shape (n,)."""
-    share = np.divide(
-        along[1:-1] - along[:-2], along[2:] - along[:-2], out=np.zeros(max(len(along) - 2, 0)),
-        where=along[2:] > along[:-2],
-    )  # fmt: skip
-    on = np.ones(len(share), bool)
-    for column in columns:
-        line = column[:-2] + share * (column[2:] - column[:-2])
-        on &= np.abs(column[1:-1] - line) <= ON_A_LINE
-    return np.concatenate(([False], on, [False]))
+def _telling(along: np.ndarray, *columns: np.ndarray) -> np.ndarray:
+    """True for points off the straight line, by `along`, between others, shape (n,)."""
+    rows = np.stack(columns)
+
+    def away(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        whole = along[end] - along[start]
+        share = np.divide(along[here] - along[start], whole, out=0.0 * whole, where=whole > 0.0)
+        line = rows[:, start] + share * (rows[:, end] - rows[:, start])
+        return np.asarray(np.abs(rows[:, here] - line).max(0) / ON_A_LINE)
+
+    return telling(len(along), away)
 
 
 def monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -149,7 +150,7 @@ def _nominal_plan(
     # The ends of both ramps become points, so that every leg has one constant acceleration.
     step = min(NOMINAL_STEP, NOMINAL_SECONDS * nominal_speed)
     steps = np.linspace(0.0, length, 2 + min(int(length / step), MAX_POINTS))
-    bends = distance[~_is_between(distance, *points.values())]
+    bends = distance[_telling(distance, *points.values())]
     s = np.concatenate((bends, steps, [ramp, length - ramp]))
     s = np.unique(s.round(6))  # no leg is shorter than rounding
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2

@@ -6,10 +6,10 @@ length, climb and speeds at once. Of a leg only length and duration are known.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -35,6 +35,9 @@ CONDITION_RANGES = {
     "steady": (0.0, 1.0),
 }
 COLUMNS = ("time", "distance", "speed", "elevation")
+ROUNDS = 40  # of finding corners; what is missed then is kept, so that no curve takes long
+Measure: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""How far the points of these numbers lie from the line between two others, in tolerances."""
 
 
 class PlanError(InputError):
@@ -246,6 +249,31 @@ def travelled(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
 def sums(steps: np.ndarray) -> np.ndarray:
     """Sums of n steps up to each of n + 1 points, the first 0."""
     return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def telling(count: int, *measures: Measure) -> np.ndarray:
+    """True for points of a curve that the lines between the others do not pass, shape (count,).
+
+    Of points that a line misses, the farthest by the first measure that says so is one of them:
+    where all measures before it fit, each is largest at a corner.
+    """
+    number = np.arange(count)
+    told = np.ones(count, bool)
+    here, start, end = number[1:-1], number[:-2], number[2:]
+    told[1:-1] = np.any([away(here, start, end) > 1.0 for away in measures], axis=0)
+    for away in measures:
+        for attempt in range(ROUNDS):  # a line over many points may miss some of them
+            kept, others = np.flatnonzero(told), np.flatnonzero(~told)
+            line = np.searchsorted(kept, others)
+            far = away(others, kept[line - 1], kept[line])
+            missed = np.flatnonzero(far > 1.0)
+            if not missed.size:
+                break
+            if attempt < ROUNDS - 1:
+                missed = missed[np.lexsort((-far[missed], line[missed]))]
+                missed = missed[np.unique(line[missed], return_index=True)[1]]
+            told[others[missed]] = True
+    return told
 
 
 def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:

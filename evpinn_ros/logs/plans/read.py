@@ -149,7 +149,8 @@ def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
     if mixed or source.dropped["time_not_increasing"] > len(readings):
         raise PlanError("its times do not rise, so they are no times")
     _warn_of_choices(source)
-    return plan_of_readings(readings)
+    recorded = not source.rules or source.dated or any(r.quantity in BATTERY for r in source.rules)
+    return plan_of_readings(readings, recorded=bool(recorded))
 
 
 def _warn_of_choices(source: Source) -> None:
@@ -168,8 +169,11 @@ def _warn_of_choices(source: Source) -> None:
     warn_of_unused((*source.ignored, *others))
 
 
-def plan_of_readings(readings: Iterable[Reading]) -> Plan:
-    """The plan of a drive's speeds and altitudes, or else grades, without a log's pauses."""
+def plan_of_readings(readings: Iterable[Reading], *, recorded: bool = True) -> Plan:
+    """The plan of a drive's speeds and altitudes, or else grades, without a log's pauses.
+
+    What was not recorded has no gaps, and heights that are exact.
+    """
     rows: dict[type, list[tuple[int, float]]] = {kind: [] for kind in FIELDS}
     for reading in readings:
         if (kind := type(reading)) in FIELDS:
@@ -178,7 +182,7 @@ def plan_of_readings(readings: Iterable[Reading]) -> Plan:
     speed, altitude, grade = (_series(rows[kind], start) for kind in FIELDS)
     if len(speed) < 2 or speed[-1, 0] < SHORTEST:
         raise PlanError(f"a drive of less than {SHORTEST:g} s is no plan; {UNIT_OF_TIME}")
-    time = _driven(speed)
+    time = _driven(speed) if recorded else speed[:, 0]
     for series in (altitude, grade, speed):
         series[:, 0] = np.interp(series[:, 0], speed[:, 0], time)
     if len(altitude) and (np.ptp(altitude[:, 1]) or not len(grade)):
@@ -187,7 +191,10 @@ def plan_of_readings(readings: Iterable[Reading]) -> Plan:
     elif len(grade):
         slope = np.sin(np.interp(time, *grade.T))
         altitude = np.column_stack((time, travelled(time, speed[:, 1] * slope)))
-    return drive_plan(speed, altitude)
+    plan = drive_plan(speed, altitude)
+    if recorded or plan.commanded or not len(altitude):
+        return plan
+    return replace(plan, elevation=np.interp(plan.time, *altitude.T))  # no receiver's: exact
 
 
 def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:

@@ -17,7 +17,13 @@ import numpy as np
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.core.energy.driven import is_trace
 from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, refuse, sums
-from evpinn_ros.logs.plans.way import Heights, legs_between, way_length, without_wander
+from evpinn_ros.logs.plans.way import (
+    Heights,
+    legs_between,
+    way_length,
+    with_borders,
+    without_wander,
+)
 
 with optional_imports():
     import polars as pl
@@ -62,16 +68,23 @@ def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
     if pace is not None and not (timed.any() or np.isfinite(speed).any()):
         speed = np.full_like(speed, pace)
     along = sums(steps)
-    if timed.sum() > 1:
+    if driven := timed.sum() > 1:
         along = along - along[timed.argmax()]
-        legs = legs_between(time[timed], along[timed], Heights(along, place[:, 2]))
-        return replace(legs, commanded=is_trace(time[timed]))  # it was driven so
-    if not np.isfinite(speed).all():
-        raise PlanError(NEITHER)
-    length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
-    refuse((length > 0) & (mean <= 0), "it has no times, and its speed is 0")
-    elapsed = sums(length / np.where(length > 0, mean, 1.0))
-    return legs_between(elapsed, along, Heights(along, place[:, 2]))
+        elapsed, way = time[timed], along[timed]
+    else:
+        if not np.isfinite(speed).all():
+            raise PlanError(NEITHER)
+        length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
+        refuse((length > 0) & (mean <= 0), "it has no times, and its speed is 0")
+        elapsed, way = sums(length / np.where(length > 0, mean, 1.0)), along
+    heights = Heights(along, place[:, 2])
+    if (np.diff(elapsed) >= 0.0).all():
+        elapsed, way = with_borders(elapsed, way, heights.borders(MAX_POINTS - len(way)))
+    legs = legs_between(elapsed, way, heights)
+    if driven:  # as recorded, where it was
+        seen = time[timed], way_length(*track.place[timed, :2].T)
+        legs = replace(legs, commanded=is_trace(*seen))
+    return legs
 
 
 def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,8 @@ FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
 # moment are less than `WANDER` m apart, it does not drive, unless it gets farther in the end.
 AROUND, WANDER, STAYED = 10.0, 10.0, 25.0
 LEAST_AROUND = 4  # places before and after
+HEIGHT_STEP = 50.0  # m between places at which a track has its slopes
+APART = 1e-5  # m between two places; less is rounding
 EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
 
 
@@ -40,8 +42,23 @@ class Heights(NamedTuple):
         along = np.clip(self.along[finite], 0.0, FARTHEST)
         middle = (distance[1:] + distance[:-1]) / 2
         height = plausible_heights(along, self.height[finite])
-        climb = np.diff(road_height(along, height, distance))
+        places = np.append(np.arange(0.0, distance[-1], HEIGHT_STEP), distance[-1])
+        climb = np.diff(np.interp(distance, places, road_height(along, height, places)))
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
+
+    def borders(self, most: int) -> np.ndarray:
+        """Distances, m, between which slopes are even and heights known, or not; so many at most.
+
+        In order; empty where no heights are known.
+        """
+        finite = np.isfinite(self.height)
+        if finite.sum() < 2:
+            return np.empty(0)
+        ends: np.ndarray = self.along[finite][[0, -1]]
+        whole = float(self.along[-1])
+        if not whole < most * HEIGHT_STEP:
+            return ends
+        return np.asarray(np.union1d(np.arange(HEIGHT_STEP, whole, HEIGHT_STEP), ends))
 
 
 def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
@@ -67,6 +84,21 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
     distance = distance[kept]
     climb = heights.climbs(distance) if heights else None
     return legs_of_trip(np.diff(distance), np.diff(time[kept]), climb)
+
+
+def with_borders(
+    time: np.ndarray, distance: np.ndarray, borders: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times, s, and distances, m, of n points, with those of borders between them added."""
+    place = np.searchsorted(distance, borders)
+    inner = (place > 0) & (place < len(distance))
+    place, borders = place[inner], borders[inner]
+    before, after = distance[place - 1], distance[place]
+    new = (borders - before > APART) & (after - borders > APART)
+    place, borders, before, after = (column[new] for column in (place, borders, before, after))
+    share = (borders - before) / (after - before)
+    between = time[place - 1] + share * (time[place] - time[place - 1])
+    return np.insert(time, place, between), np.insert(distance, place, borders)
 
 
 def without_wander(place: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -131,10 +131,26 @@ def test_points_added_on_lines_change_nothing(data, name, rows, conditions, fadi
     profile = plan_from_speed_profile(np.cumsum(step), None, speed)
     rise = np.concatenate(([0.0], np.cumsum(slope[1:] * np.diff(profile.distance))))
     plan = replace(profile, elevation=rise)
-    finer = cut_points(plan, cuts(data.draw, len(rows) - 1))
+    shares = cuts(data.draw, len(rows) - 1)
+    beside = data.draw(st.sampled_from([1e-9, 1e-3]))  # of a point that is there
+    shares = [np.unique(np.append(share, (beside, 1.0 - beside))) for share in shares]
+    finer = cut_points(plan, shares)
     basis = basis_of(name, conditions, fading)
     whole, parts = (forecast_plan(trip, *basis) for trip in (plan, finer))
     same(whole, parts, plan.time, finer.time)
+
+
+def test_a_dense_curve_is_no_line():
+    """Each of its points lies almost on the line between its neighbours."""
+    basis = PlanBasis.of(car("bmw_i3"), PlanConditions())
+    energies = []
+    for rate in (2, 49):  # Hz
+        time = np.linspace(0.0, 300.0, 300 * rate + 1)
+        plan = plan_from_speed_profile(time, None, 15.0 + 5.0 * np.sin(time / 30.0))
+        energies.append(forecast_plan(plan, *basis).energy[-1])
+        path = plan_from_path(plan.distance, 0.0 * time, 0.0 * time, time)
+        assert path.speed == pytest.approx(plan.speed, abs=5e-3)
+    assert energies == pytest.approx(energies[:1] * 2, rel=5e-4)
 
 
 @FEW

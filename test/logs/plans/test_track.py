@@ -103,10 +103,17 @@ TRACKS = {
 @pytest.mark.parametrize("track", TRACKS.values(), ids=TRACKS)
 def test_places_with_times_are_legs_from_each_to_the_next(read, track):
     legs = read(track)
-    assert legs.length == pytest.approx([400.0, 500.0, 0.0], abs=0.01)  # the last is a stop
-    assert legs.duration == pytest.approx([20.0, 25.0, 60.0])
-    assert legs.climb == pytest.approx([4.0, 5.0, 0.0], abs=1.0)
+    at = [20.0, 45.0, 105.0]  # s; the last is a stop
+    assert reached(at, legs.duration, legs.length) == pytest.approx([400, 900, 900], abs=0.01)
+    assert legs.duration.sum() == pytest.approx(105.0)
+    assert reached(at, legs.duration, legs.climb) == pytest.approx([4, 9, 9], abs=1.0)
     assert legs.height_known.all()
+
+
+def reached(at, *steps):
+    """Sums of steps of the second kind where those of the first have come so far."""
+    along, sums = (np.concatenate(([0.0], np.cumsum(column))) for column in steps)
+    return np.interp(at, along, sums)
 
 
 def test_with_speeds_no_times_are_needed(read):
@@ -114,16 +121,16 @@ def test_with_speeds_no_times_are_needed(read):
     old, new = (gpx(times=None, speeds=speeds, version=version) for version in ("1.0", "1.1"))
     for track in (old, new, geojson(speeds=speeds)):
         legs = read(track)
-        assert legs.length == pytest.approx([400.0, 500.0], abs=0.01)
-        assert legs.duration == pytest.approx([20.0, 20.0], abs=0.01)
+        assert legs.length.sum() == pytest.approx(900.0, abs=0.01)
+        assert reached([400.0, 900.0], legs.length, legs.duration) == pytest.approx([20.0, 40.0])
     with pytest.raises(PlanError, match="no times, and its speed is 0 at point 3"):
         read(gpx(times=None, speeds=[10.0, 10.0, 0.0, 0.0, 0.0]))
 
 
 def test_points_without_a_time_lie_on_the_way_to_the_next(read):
     legs = read(gpx([None, CLOCK[1], None, None, CLOCK[4]]))
-    assert legs.length == pytest.approx([500.0], abs=0.01)
-    assert legs.duration == pytest.approx([85.0])
+    assert legs.length.sum() == pytest.approx(500.0, abs=0.01)
+    assert legs.length / legs.duration == pytest.approx(500.0 / 85.0)
 
 
 def test_a_height_that_leaps_adds_no_hill(read):
