@@ -78,7 +78,7 @@ def unseen(
         json_as_it_comes(json_file, lambda: {"data": data, "cars": by_car}) as keep,
         progress_bar("methods on cars", len(tasks), unit="done") as progress,
     ):
-        for number, result in enumerate(run_tasks(tasks, jobs), start=1):
+        for number, result in enumerate(run_tasks(tasks, jobs, progress), start=1):
             _add(by_car, result)
             keep()
             progress(number)

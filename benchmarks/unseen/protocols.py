@@ -7,7 +7,7 @@ it goes on without ("withheld"). No copy ever gets a battery reading.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import copy
 from dataclasses import dataclass
 
@@ -74,8 +74,8 @@ def cuts(drive: UnseenDrive, step: float) -> list[Cut]:
     return [*short, *(Cut(float(begin), LONG_DROPOUT) for begin in apart)]
 
 
-def run_car(car: UnseenCar, factory: Factory) -> CarRun:
-    """Predict and learn all drives of a car in order."""
+def run_car(car: UnseenCar, factory: Factory, tell: Callable[[float], None]) -> CarRun:
+    """Predict and learn all drives of a car in order; `tell` takes the share that is done."""
     method = factory(car.vehicle)
     run = CarRun([], [], [], [], {})
     step = SPARSE_STEP if car.hours > MANY_HOURS else CUT_STEP
@@ -86,8 +86,10 @@ def run_car(car: UnseenCar, factory: Factory) -> CarRun:
             whole = DrivePart(0.0, drive.duration)
             track = predicted(copy.deepcopy(method), drive, 0, whole, [])
             run.carried.append(ScoredPart(drive.name, whole, score_part(drive, track, whole)))
-        for part, scored in _through(method, drive, cuts(drive, step)):
+        planned = cuts(drive, step)
+        for count, (part, scored) in enumerate(_through(method, drive, planned), start=1):
             getattr(run, part).append(scored)
+            tell((number + count / (len(planned) + 1)) / len(car.drives))
     run.combinations.update(method.combinations())
     return run
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import lru_cache
+from functools import lru_cache, partial
 import importlib.util
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,15 +65,15 @@ def find_method(name: str) -> Factory:
     return method
 
 
-def run_task(task: Task) -> TaskResult:
-    """Score one method on one car."""
+def run_task(task: Task, tell: Callable[[float], None] = lambda share: None) -> TaskResult:
+    """Score one method on one car; `tell` takes the share that is done."""
     limit_blas_threads()
     factory = find_method(task.method)
     if task.car in KINDS:
         scores: dict[str, Any] = {"truth": run_truth(task.car, factory)}
         return TaskResult(task, ", ".join(VEHICLES), DRIVES, DRIVES * SECONDS / 3600.0, scores)
     car = _car(task.data, task.car)
-    run = run_car(car, factory)
+    run = run_car(car, factory, tell)
     scores = summary(run)
     if car.truth:
         scores["truth"] = truth_summary([errors(run.combinations, car.truth)])
@@ -81,10 +81,16 @@ def run_task(task: Task) -> TaskResult:
     return TaskResult(task, car.vehicle.key, len(car.drives), car.hours, scores)
 
 
-def run_tasks(tasks: Sequence[Task], jobs: int) -> Iterator[TaskResult]:
-    """Score all, each as it is done, in this process or in so many others."""
+def run_tasks(
+    tasks: Sequence[Task], jobs: int, tell: Callable[[float], None]
+) -> Iterator[TaskResult]:
+    """Score all, each as it is done, in other processes or, if `jobs` is 1, in this one.
+
+    In this process `tell` takes how many are done, with the share of the present one.
+    """
     if jobs == 1:
-        yield from map(run_task, tasks)
+        for number, task in enumerate(tasks):
+            yield run_task(task, partial(_tell_share, tell, number))
         return
     with ProcessPoolExecutor(jobs) as pool:
         running = [pool.submit(run_task, task) for task in tasks]
@@ -93,6 +99,10 @@ def run_tasks(tasks: Sequence[Task], jobs: int) -> Iterator[TaskResult]:
                 yield done.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _tell_share(tell: Callable[[float], None], number: int, share: float) -> None:
+    tell(number + share)
 
 
 @lru_cache(maxsize=1)

@@ -166,7 +166,8 @@ def forecast(
     basis = "by its vehicle file alone" if state is None else f"as learned in {state}"
     better = "; --state FILE uses what earlier drives taught" if state is None else ""
     say(f"{vehicle}, {basis}{better}.")
-    if (record := forecasts[0].record) is not None:
+    record = forecasts[0].record
+    if record is not None:
         say(record)
     expected = _expected(given, forecasts[0].basis.model.car.celsius, shown)
     say(expected)
@@ -182,7 +183,7 @@ def forecast(
             PlannedTrip(name, planned, what_if(planned.given, car, given, shown))
             for name, planned in zip(names, forecasts, strict=True)
         ]
-        assumed = " ".join(filter(None, (f"{vehicle}, {basis}.", expected, battery)))
+        assumed = " ".join(filter(None, (f"{vehicle}, {basis}.", record, expected, battery)))
         write_forecasts(report, shown_trips, assumed, command_line(), shown)
     if json_file is not None:
         write_json(json_file, rows)

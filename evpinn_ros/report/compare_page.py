@@ -129,7 +129,7 @@ def _explained(difference: Breakdown, units: Units) -> str:
         if explained
         else "No part explains it beyond 2 sigma: these drives do not show why.",
         f"Against that: {listed(against)}." if against else "",
-        f"Not known well enough to say: {listed(open_parts)}." if open_parts else "",
+        f"Not known well enough: {', '.join(open_parts)}." if open_parts else "",
     ]
     return " ".join(filter(None, sentences))
 

@@ -305,7 +305,7 @@ def drive_tiles(drive: Drive, units: Units) -> Iterator[tuple[str, str]]:
     if len(drive.altitude):
         heights = drive.altitude[:, 1] / units.height_metres
         rise = f"{fixed(heights[-1] - heights[0], 0, '+')} {units.height}"
-        yield rise, f"end over begin; {heights.min():.0f} to {heights.max():.0f} {units.height}"
+        yield rise, f"end above start; {heights.min():.0f} to {heights.max():.0f} {units.height}"
     if len(drive.temperature):
         celsius = drive.temperature[:, 1]
         low, high = (

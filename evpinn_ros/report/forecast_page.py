@@ -64,22 +64,18 @@ def _sentence(planned: PlannedEnergy, units: Units) -> str:
         f"{np.ptp(trip.distance) / units.metres:.1f} {units.distance} in {minutes:.0f} minutes "
         f"take {kwh:.2f} kWh: 9 times in 10 between {low:.2f} and {high:.2f}."
     )
-    if uneven := planned.uneven_part:
-        text += f" {uneven}."
-    for unsure in (planned.no_heights(units), planned.beyond_driven):
-        if unsure:
-            text += f" {unsure[0].upper()}{unsure[1:]}."
-    if record := planned.record:
-        text += f" {record}"
     left, half = (100 * planned.charge[:, -1]).tolist()
-    if not np.isfinite(left):
-        return text
     if planned.empty_at is not None:
-        where = f"{planned.empty_at / units.metres:.1f} {units.distance}"
-        return f"{text} The battery is empty after {where}."
-    half *= GAUSSIAN_QUANTILE
-    least, most = max(left - half, 0.0), min(left + half, 100.0)
-    return f"{text} The battery then has {left:.0f} % left, between {least:.0f} and {most:.0f} %."
+        text += (
+            f" The battery is empty after {planned.empty_at / units.metres:.1f} {units.distance}."
+        )
+    elif np.isfinite(left):
+        half *= GAUSSIAN_QUANTILE
+        least, most = max(left - half, 0.0), min(left + half, 100.0)
+        text += f" The battery then has {left:.0f} % left, between {least:.0f} and {most:.0f} %."
+    for note in (planned.uneven_part, planned.no_heights(units), planned.beyond_driven):
+        text += f" {note[0].upper()}{note[1:]}." if note else ""
+    return text
 
 
 def _curves(planned: PlannedEnergy, units: Units) -> Any:

@@ -65,7 +65,7 @@ def test_what_was_scored_is_there_before_the_next_car_and_after_a_signal(
     (tmp_path / "drive.csv").write_text("")
     car, scores = f"{tmp_path / 'drive.csv'}=generic", {"true": {"mass": 1800.0}}
 
-    def results(tasks, jobs):
+    def results(tasks, jobs, tell):
         yield run.TaskResult(tasks[0], "generic", 3, 1.5, scores)
         kept.append(json.loads((tmp_path / "out.json").read_text()))
         signal.raise_signal(end)
@@ -101,7 +101,9 @@ def test_the_example_learns_also_where_voltage_and_current_are_polled_apart(tmp_
 
 def test_the_example_of_a_method_beats_the_prior():
     bags = f"{ROOT / 'bags'}=tesla_model_3_lr"
-    names = "prior", f"{EXAMPLE}:LeastSquares"
-    prior, mine = (run.run_task(run.Task(bags, bags, name)).scores for name in names)
+    tasks = [run.Task(bags, bags, name) for name in ("prior", f"{EXAMPLE}:LeastSquares")]
+    told = []
+    prior, mine = (result.scores for result in run.run_tasks(tasks, 1, told.append))
+    assert told == sorted(told) and told[-1] == len(tasks) < len(told)
     for part in ("carried", "withheld"):
         assert mine[part]["gross_mean_percent"] < prior[part]["gross_mean_percent"] / 2
