@@ -171,6 +171,7 @@ class TableDrive(Source):
         self.ignored = unused_columns(header, self.rules, taken, survey.empty)
         if self._long is not None:
             self.ignored |= dict.fromkeys(self._long.others, NO_USE)
+        self._level = self._looked_at_all and any(map(self._is_level, columns))
         self._start_ns, self.dated = self._start(clocks, stamps)
         self._stamps = stamps  # of the rows that were kept
         survey.forget_cells()
@@ -220,6 +221,8 @@ class TableDrive(Source):
                 )
         if self._backwards:
             notes.append("speed: all numbers are negative; their size counts")
+        if self._level and self._terrain is None:
+            notes.append("elevation: all heights are alike, so the ground is assumed to be level")
         if self._engine is not None:
             notes.append("rows in which the engine turns are not used")
         if self._in_bursts and self._long is None:
@@ -286,6 +289,14 @@ class TableDrive(Source):
             for column in columns
             if column.quantity != "grade" or column.why == "as given" or not options.battery
         ]
+
+    def _is_level(self, column: Column) -> bool:
+        """True of heights that never change, but for those of a receiver that may have no fix."""
+        if column.quantity != "elevation" or not (column.is_ours or column.why == "as given"):
+            return False
+        heights = to_floats(self._survey.cells[column.place], self._survey.styles[column.place])
+        heights = heights[np.isfinite(heights)]
+        return heights.size > 1 and not np.ptp(heights)
 
     def _look_through(self, columns: Sequence[Column], limit: int) -> Survey:
         return look_through(
@@ -395,6 +406,8 @@ class TableDrive(Source):
             heights = _heights(self._terrain, *(values[name] for name in PLACES))
             recorded = values.get("elevation", heights)  # which stay where no tile knows better
             values["elevation"] = np.where(np.isnan(heights), recorded, heights)
+        elif self._level:
+            values["grade"] = 0.0 * values["elevation"]
         return values
 
     def _until_broken(self, broken: list[InputError]) -> Iterator[Batch]:

@@ -8,6 +8,7 @@ import pytest
 
 from evpinn_ros.core.signals import readings as kinds
 from evpinn_ros.core.signals.readings import DRIVE_START_NS, BatteryReading, SpeedReading
+from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.logs.table_drive import TableDrive
 
@@ -167,3 +168,28 @@ def test_a_table_tells_how_long_it_is(tmp_path):
     cut = long_table(tenths)[:-30] + "?"  # within the last row
     assert drive_of(tmp_path, cut).seconds in (None, pytest.approx(499.8, abs=0.2))
     assert drive_of(tmp_path, long_table(tenths[:1])).seconds is None
+
+
+@pytest.mark.parametrize(
+    ("name", "heights", "options", "level"),
+    [
+        ("elevation_m", "0", (), True),
+        ("elevation_m", "212.5", (), True),
+        ("z [m]", "0", ["elevation=z [m]"], True),  # as its owner says
+        ("Altitude [m]", "0", (), False),  # of a receiver that may have no fix
+        ("elevation_m", "", (), False),
+        ("elevation_m", None, (), False),
+    ],
+)
+def test_heights_that_never_change_say_that_the_ground_is_level(
+    tmp_path, name, heights, options, level
+):
+    rows = [f"{t},2,24,-3,{heights if heights is not None else t // 399}\n" for t in range(400)]
+    path = tmp_path / "robot.csv"
+    path.write_text(f"t_s,speed_mps,voltage_v,current_a,{name}\n" + "".join(rows))
+    drive = open_drive(path, 24.0, ReadOptions(columns=options))
+    grades = [
+        reading.grade for reading in drive.readings() if isinstance(reading, kinds.GradeReading)
+    ]
+    assert grades == [0.0] * 400 * level
+    assert any("the ground is assumed to be level" in note for note in drive.notes) == level
