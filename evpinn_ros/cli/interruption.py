@@ -43,7 +43,7 @@ class Interruption:
         for number, before in self._before.items():
             signal.signal(number, before)
         if self.asked and (error is None or isinstance(error, InputError | typer.Exit)):
-            reason = error if isinstance(error, InputError) else "results are up to here"
+            reason = error if isinstance(error, InputError) else "results cover the work so far"
             note(f"evpinn: stopped: {reason}")
             raise typer.Exit(self._code) from error
 
