@@ -1,9 +1,11 @@
-"""The error of the last battery reading, added to predictions while it decays.
+"""What the battery last gave beside the prediction: it holds for some tenths of a second.
 
 The trim (`estimation.trim`) rests on what was known up to the watermark, some tenths of a second
-ago. Errors of neighbouring samples are alike: in drives of three cars 64 to 86 % of an error is
-left after 0.1 s, 37 to 67 % after 0.2 s. So `power/predicted` adds the error of the newest battery
-reading that is stamped before its sample, as it decays (Ornstein and Uhlenbeck).
+ago. Errors of neighbouring samples are alike: 64 to 86 % of an error is left after 0.1 s. So
+`power/predicted` adds the error of the newest battery reading before its sample, as it decays
+(Ornstein and Uhlenbeck). Where errors go on as they went, more of it is left; where a prediction
+is noisier than power, its change since then is worth less. What of each is learned from every
+battery reading by the one before, by recursive least squares of two weights that begin at 0.
 """
 
 from __future__ import annotations
@@ -15,17 +17,20 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 DECAY = 0.3  # s
 FORGOTTEN = 10.0 * DECAY  # s
-OUTLIER = 3.0  # sigmas at which errors are cut off
-MOST_KEPT = 500  # predictions kept, between which battery readings may lie
+OUTLIER = 3.0  # sigmas beyond which an error counts for no more
+MOST_KEPT = 500  # predictions, which battery readings may lie between
 LEAST_SIGMA = 0.2  # of that of the prediction: a sensor and its stamp err too
+FADING = 100.0  # s in which the weights forget
 
 
 class Persistence:
-    """Adds the decaying error of the newest battery reading to predictions."""
+    """Adds to predictions what the battery had beside them."""
 
     def __init__(self) -> None:
-        """Start without a prediction."""
+        """Begin without a prediction."""
         self._latest: deque[tuple[int, float]] = deque(maxlen=MOST_KEPT)
+        self._told: tuple[int, float, float] | None = None  # stamp, prediction and error, W
+        self._weights = _Weights()
 
     def add(
         self, stamp_ns: int, power: float, sigma: float, told_ns: int, told: float
@@ -37,17 +42,28 @@ class Persistence:
             power: predicted, W.
             sigma: its 1-sigma, W.
             told_ns: stamp of the newest battery reading before the sample, ns.
-            told: its power, W; NaN if there is none.
+            told: its power, W, NaN where there is none to go by.
         """
         self._latest.append((stamp_ns, power))
         age = (stamp_ns - told_ns) / NANOSECONDS
         if told != told or age >= FORGOTTEN or told_ns < self._latest[0][0]:
             return power, sigma
+        then = self._predicted_at(told_ns)
+        error = _within(told - then, OUTLIER * sigma)
+        self._learn(told_ns, then, told - then, error, sigma)
         kept = math.exp(-age / DECAY)
-        error = told - self._predicted_at(told_ns)
-        error = min(max(error, -OUTLIER * sigma), OUTLIER * sigma)
+        given = kept * error + self._weights.of(*_terms(age, error, power - then))
         share = max(math.sqrt(1.0 - kept**2), LEAST_SIGMA)
-        return max(power + kept * error, min(power, told, 0.0)), sigma * share
+        return max(power + given, min(power, told, 0.0)), sigma * share
+
+    def _learn(self, told_ns: int, then: float, seen: float, error: float, sigma: float) -> None:
+        """Learn from the error of a battery reading what the one before it left of its own."""
+        before, self._told = self._told, (told_ns, then, error)
+        if before is None or before[0] == told_ns:
+            return
+        age = (told_ns - before[0]) / NANOSECONDS
+        left = math.exp(-age / DECAY) * before[2]
+        self._weights.learn(*_terms(age, before[2], then - before[1]), seen - left, sigma, age)
 
     def _predicted_at(self, moment_ns: int) -> float:
         """Power that was predicted at a moment between the latest, W, on a straight line."""
@@ -58,3 +74,48 @@ class Persistence:
                 return before + (power - before) * (moment_ns - begin_ns) / (end_ns - begin_ns)
             end_ns, power = begin_ns, before
         return power
+
+
+def _terms(age: float, error: float, change: float) -> tuple[float, float]:
+    """What is weighed, W, so many s after an error: none at once, and none when all is decayed."""
+    kept = math.exp(-age / DECAY)
+    return kept * age / DECAY * error, kept * change
+
+
+class _Weights:
+    """Two weights and their covariance; before anything is learned each is 0, known to 1.
+
+    By numbers: arrays of two would take ten times as long.
+    """
+
+    def __init__(self) -> None:
+        self._first, self._second = 0.0, 0.0
+        self._var_first, self._shared, self._var_second = 1.0, 0.0, 1.0
+
+    def of(self, first: float, second: float) -> float:
+        """Sum of two terms, weighed."""
+        return self._first * first + self._second * second
+
+    def learn(self, first: float, second: float, seen: float, sigma: float, passed: float) -> None:
+        """Learn from what was seen of two terms, with its 1-sigma, so many s after the last."""
+        left = math.exp(-passed / FADING)
+        fresh = 1.0 - left**2
+        self._first, self._second = left * self._first, left * self._second
+        self._var_first = left**2 * self._var_first + fresh
+        self._shared *= left**2
+        self._var_second = left**2 * self._var_second + fresh
+        with_first = self._var_first * first + self._shared * second
+        with_second = self._shared * first + self._var_second * second
+        variance = with_first * first + with_second * second + sigma**2
+        if not variance > 0.0:
+            return
+        surprise = _within(seen - self.of(first, second), OUTLIER * math.sqrt(variance))
+        self._first += with_first * surprise / variance
+        self._second += with_second * surprise / variance
+        self._var_first -= with_first**2 / variance
+        self._shared -= with_first * with_second / variance
+        self._var_second -= with_second**2 / variance
+
+
+def _within(value: float, most: float) -> float:
+    return min(max(value, -most), most)
