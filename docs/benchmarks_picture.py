@@ -39,16 +39,21 @@ RIGHT = (85, 95)  # % of intervals that hold: as many as they promise
 
 
 def taken(commit: str, files: Sequence[Path]) -> dict[str, Any]:
-    """The contents of unseen.json with the cars of files that were written on one commit."""
+    """The contents of unseen.json with what files that were written on one commit score.
+
+    A method that no file scores keeps its error, and the row names the commit of that too.
+    """
     rows = {row["car, log"]: row for row in cars()}
     for file in files:
         for key, scored in json.loads(file.read_text(encoding="utf-8"))["cars"].items():
-            carried = {
-                name: scored["methods"][method]["carried"] for name, method in METHODS.items()
-            }
-            row = {"car, log": CARS[key], "drives": scored["drives"], "commit": commit}
-            row |= {name: round(each["net_median_percent"], 1) for name, each in carried.items()}
-            rows[CARS[key]] = row | {HOLDS: round(carried[OURS]["inside_90_percent"])}
+            methods, row = scored["methods"], rows[CARS[key]]
+            left = ", ".join(name for name, method in METHODS.items() if method not in methods)
+            row["drives"] = scored["drives"]
+            row["commit"] = f"{commit}; {left}: {row['commit']}" if left else commit
+            for name, method in METHODS.items():
+                if method in methods:
+                    row[name] = round(methods[method]["carried"]["net_median_percent"], 1)
+            row[HOLDS] = round(methods[METHODS[OURS]]["carried"]["inside_90_percent"])
     methods = ",".join(METHODS.values())
     return {
         "command": f"evpinn bench unseen DATA --methods {methods} --json unseen.json",
