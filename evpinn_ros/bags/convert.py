@@ -1,4 +1,4 @@
-"""Readings to the input topics of a bag, and back."""
+"""Converts readings to the input topics of a bag, and back."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOT_A_MESSAGE = "not_finite_or_out_of_range"
 def write_readings(
     readings: Iterable[Reading], writer: BagWriter, namespace: str = NAMESPACE
 ) -> Counter[str]:
-    """Write each reading at its stamp; returns those that were left out, by reason."""
+    """Write each reading at its stamp; returns counts of omitted readings by reason."""
     dropped: Counter[str] = Counter()
     for reading in readings:
         try:
@@ -43,7 +43,7 @@ def write_readings(
 
 
 class NoTopicsError(InputError):
-    """A bag has none of our topics."""
+    """The bag has none of our topics."""
 
 
 class BagReadings:
@@ -52,22 +52,22 @@ class BagReadings:
     def __init__(
         self, reader: BagReader, car: str | None = None, mounting: Rotation | None = None
     ) -> None:
-        """Find the topics by name and type, of the `car` with this namespace.
+        """Find the input topics by name and type, in the namespace `car` if given.
 
-        `mounting` is that of its IMU, see `grade_reading`. NoTopicsError: none is there;
-        InputError: several cars.
+        `mounting` is the rotation of the IMU, see `grade_reading`. NoTopicsError: the bag has no
+        input topic; InputError: it has topics of several cars.
         """
         self.dropped: Counter[str] = Counter()  # unusable messages, by reason
-        self.doubts: tuple[str, ...] = ()  # why totals are not certain; complete once read
+        self.doubts: tuple[str, ...] = ()  # why totals are uncertain; complete once read
         self._reader, self._mounting = reader, mounting
         speeds = (_named(reader, topic, car) for topic in topics.SPEEDS)
         wanted_topics = [topic for topic in READING_TOPICS.values() if topic is not topics.SPEED]
         names = [next(filter(None, speeds), None)]
         names += [_named(reader, topic, car) for topic in wanted_topics]
-        self.topics = tuple(name for name in names if name)  # full names of those read
+        self.topics = tuple(name for name in names if name)  # full names of topics read
         missing = {topics.SPEED, topics.BATTERY} - {topic_of(name) for name in self.topics}
         if names[0]:
-            missing.discard(topics.SPEED)  # others have it too
+            missing.discard(topics.SPEED)  # another topic gives the speed
         self.notes = tuple(_near_topics(reader, missing))
         if not self.topics:
             wanted = ", ".join(topic.name for topic in READING_TOPICS.values())
@@ -94,7 +94,7 @@ class BagReadings:
             )
 
     def _look_at(self, record: Record, batteries: Batteries) -> None:
-        """Note a speed in the frame of a map, and which battery a message is of."""
+        """Note a speed in the frame of a map, and the battery that sent a message."""
         if record.type_name == topics.BATTERY_TYPE:
             batteries.add(record.message)
         elif record.type_name == topics.ODOMETRY_TYPE and in_frame_of_map(record.message):

@@ -1,4 +1,4 @@
-"""Limits on what a bag unpacks to, by its own size, whatever lengths it claims."""
+"""Limits on the unpacked size of the parts of a bag, whatever lengths the file claims."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import zstandard
 from evpinn_ros.common.units import MEBIBYTE
 
 LONGEST_CHUNK = 40 * MEBIBYTE
-"""Bytes of a chunk, packed and unpacked, of a message and of an attachment. Recorders write chunks
-of 1 MB, and a longer message has one of its own; `evpinn recover` holds three of them."""
+"""Bytes of a chunk (packed or unpacked), of a message and of an attachment. Recorders write chunks
+of 1 MB; a longer message gets a chunk of its own. `evpinn recover` holds three chunks."""
 
 LONGEST_MESSAGE = 16 * MEBIBYTE
-"""Bytes of a message that is decoded: ours have at most 8 MB, a plan of 50 000 points."""
+"""Bytes of a message that is decoded; our largest, a plan of 50 000 points, has 8 MB."""
 
 LARGEST_SUMMARY = 64 * MEBIBYTE
-"""Bytes of the end of an MCAP file, that of 500 000 chunks; with a larger one its index is not
-used."""
+"""Bytes of the summary of an MCAP file, enough for 500 000 chunks. If it is larger, its index is
+not used."""
 
 MOST_DEFINITIONS = 8 * MEBIBYTE
 """Bytes of all schemas and channels of a file together."""
 
 LARGEST_WINDOW = 64 * MEBIBYTE
-"""Bytes that zstd may hold of what it has unpacked: a chunk, or what most levels look back at."""
+"""Bytes of unpacked data that zstd may keep: a chunk, or the window of most levels."""
 
 MOST_HELD = 64 * MEBIBYTE
-"""Bytes of messages held back to put them in order. Chunks of a recorder overlap by seconds."""
+"""Bytes of messages held back to sort them by time. A recorder's chunks overlap by seconds."""
 
 
 def zstd_reader(source: bytes | BinaryIO) -> zstandard.ZstdDecompressionReader:
-    """Reads what was packed; ZstdError if that is damaged or of a larger window."""
+    """Reader that unpacks; it raises ZstdError for damaged data or too large a window."""
     decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_WINDOW)
     return decompressor.stream_reader(source, read_across_frames=True)
 
 
 def unpacked(compression: str, data: bytes, size: int) -> bytes:
-    """Content of a chunk of `size` bytes, or of a cut one; ValueError, before, above the limit."""
+    """Unpack a chunk of `size` bytes, or a cut one; ValueError if damaged or above the limit."""
     if max(size, len(data)) > LONGEST_CHUNK:
         raise ValueError(f"above the limit of {LONGEST_CHUNK // MEBIBYTE} MiB")
     try:

@@ -1,4 +1,4 @@
-"""One MCAP file in log time order: rosbags reads a sound one; others are read twice."""
+"""One MCAP file in log time order: rosbags reads an intact file; others are read twice."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from evpinn_ros.common.opener import open_file
 
 OVERLAP = "chunks overlap too far: not all is in order of time"
 QOS, TYPE_HASH = "offered_qos_profiles", "topic_type_hash"  # in the metadata of a channel
-OVERHEAD = 250  # bytes of a message in Python beside its data
+OVERHEAD = 250  # bytes of a Python message besides its data
 
 
 class McapFile:
     """An open MCAP file."""
 
     def __init__(self, path: Path) -> None:
-        """Find the channels and the messages; InputError if it is no MCAP."""
+        """Find the channels and the messages; InputError if the file is not MCAP."""
         self.path = path
         with as_input_error(path):
             self._file = open_file(path)
@@ -57,7 +57,7 @@ class McapFile:
                 return
             self._indexed.close()
             self._indexed = None
-            self._survey()  # a chunk is damaged: what is before it was read
+            self._survey()  # a chunk is damaged: messages before it were read
         yield from islice(self._in_order(wanted), read, None)
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class McapFile:
         channels = summary.content.channels.values()
         plain = all(plain_qos(channel.metadata.get(QOS, "")) for channel in channels)
         if plain and summary.indexes_all and summary.within_limits(records.size):
-            with suppress(InputError):  # of another profile than ROS 2, for example
+            with suppress(InputError):  # for example, if the profile is not ROS 2
                 self._indexed = RosbagsFile(self.path)
         if self._indexed is not None:
             self.channels: Mapping[int, Channel] = self._indexed.channels
@@ -95,7 +95,7 @@ class McapFile:
                     counts[item.channel_id] += 1
                 elif isinstance(item, Loss):
                     losses.append(item)
-        except InputError as error:  # a bad sector: what is before it can be read
+        except InputError as error:  # a bad sector: records before it can be read
             notes.append(str(error))
         self.counts, self._readable = counts, counts.total()
         self.channels = _channels(records)  # by channel id
@@ -114,7 +114,7 @@ class McapFile:
         self._notes = notes
 
     def _in_order(self, wanted: Container[int]) -> Iterator[RawMessage]:
-        """The messages in log time order, as far as those that are held back allow."""
+        """The messages in log time order, as far as `MOST_HELD` bytes allow."""
         waiting: list[tuple[int, int, int, bytes]] = []
         held = newest_ns = 0
         for number, message in enumerate(self._wanted(wanted)):
@@ -133,14 +133,14 @@ class McapFile:
             yield log_time_ns, channel, data
 
     def _wanted(self, wanted: Container[int]) -> Iterator[Message]:
-        with suppress(InputError):  # a bad sector, which is noted
+        with suppress(InputError):  # a bad sector, noted by `_survey`
             for item in McapRecords(self._file, self.path):
                 if isinstance(item, Message) and item.channel_id in wanted:
                     yield item
 
 
 def _channels(records: McapRecords) -> dict[int, Channel]:
-    """Channels by id; one whose schema is lost is lost too."""
+    """Channels by id, without channels whose schema is lost."""
     schemas = {0: ("", "")} | {
         id_: (schema.name, schema.data.decode(errors="replace"))
         for id_, schema in records.schemas.items()

@@ -1,6 +1,6 @@
-"""The records of an MCAP file from its beginning on, parsed by the mcap library.
+"""Reads the records of an MCAP file from its start; the mcap library parses them.
 
-A damaged chunk is skipped; behind a damaged record the next chunk of the index is sought.
+Damaged chunks are skipped; after a damaged record, reading resumes at the next indexed chunk.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from evpinn_ros.common.opener import RATIO, most_unpacked
 from evpinn_ros.common.units import MEBIBYTE
 
 MAGIC = b"\x89MCAP0\r\n"
-HEAD = struct.Struct("<BQ")  # opcode, bytes that follow
+HEAD = struct.Struct("<BQ")  # opcode, length of the body
 FOOTER = struct.Struct("<QQI")  # start of the summary, start of its offsets, its checksum
-MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; data behind it
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; data follow
 INDEX_HEAD, INDEX_ENTRY = 6, 16  # bytes of a message index
-PRIVATE = 0x80  # opcodes from here on are free for any use
+PRIVATE = 0x80  # first opcode for private use
 PARSE_ERRORS = (McapError, struct.error, ValueError, LookupError, MemoryError, OverflowError)
 _ENDS: dict[int, int] = {Opcode.DATA_END: 4, Opcode.FOOTER: FOOTER.size}
 _PARSED: dict[int, Any] = {
@@ -58,12 +58,12 @@ class Loss:
     """Bytes of a file that cannot be read."""
 
     begin: int  # first byte
-    end: int  # behind the last one
+    end: int  # byte after the last one
     reason: str  # in a few words
-    chunk: bool = False  # the bytes are those of one chunk
-    messages: int | None = None  # in there, None where the file does not tell
-    after_ns: int | None = None  # log time of the newest message before, None for none
-    before_ns: int | None = None  # log time of the next message, None for none
+    chunk: bool = False  # True if the bytes are one chunk
+    messages: int | None = None  # lost with them; None if unknown
+    after_ns: int | None = None  # log time of the newest message before, None if none
+    before_ns: int | None = None  # log time of the next message, None if none
 
 
 McapItem: TypeAlias = Message | Loss | Attachment | Metadata
@@ -71,14 +71,14 @@ McapItem: TypeAlias = Message | Loss | Attachment | Metadata
 
 @dataclass(slots=True)
 class McapSummary:
-    """Summary at the end of a file; empty where the end is missing or damaged."""
+    """Summary at the end of a file; empty if the end is missing or damaged."""
 
-    ended: bool = False  # the file has its end
+    ended: bool = False  # True if the end of the file is present
     content: Summary = field(default_factory=Summary)
 
     @property
     def indexes_all(self) -> bool:
-        """True if the index of the chunks leads to every message that the file counted."""
+        """True if the chunk index covers every message that the file counts."""
         statistics, chunks = self.content.statistics, self.content.chunk_indexes
         heads = INDEX_HEAD + HEAD.size
         indexed = sum(
@@ -88,7 +88,7 @@ class McapSummary:
         return bool(chunks) and statistics is not None and indexed == statistics.message_count
 
     def within_limits(self, size: int) -> bool:
-        """True if chunks neither share bytes of the file nor unpack to more than they may."""
+        """True if the chunks fit into the file and unpack to no more than the limits."""
         chunks = self.content.chunk_indexes
         return (
             all(chunk.uncompressed_size <= LONGEST_CHUNK for chunk in chunks)
@@ -98,27 +98,27 @@ class McapSummary:
 
 
 class McapRecords:
-    """One pass over a file; memory stays within a chunk."""
+    """One pass over a file; it keeps at most one chunk in memory."""
 
     def __init__(self, file: BinaryIO, name: object) -> None:
         self._file, self._name = file, name
         self.size = os.fstat(file.fileno()).st_size
         self.summary = McapSummary()
-        with suppress(InputError):  # a bad sector there: what is before it can be read
+        with suppress(InputError):  # a bad sector there: records before it can be read
             self.summary = self._summary()
         content = self.summary.content
         self.schemas, self.channels = dict(content.schemas), dict(content.channels)
         self.stated = content.statistics.message_count if content.statistics else None
         self.ended = self.summary.ended  # the file has its end
-        self.chunks = self.unknown = 0  # seen; messages whose topic's definition is lost
+        self.chunks = self.unknown = 0  # chunks seen; messages without a topic definition
         self.position, self.proven = 0, False
         self._starts = sorted(chunk.chunk_start_offset for chunk in content.chunk_indexes)
         self._bytes_left, self._definitions_left = most_unpacked(self.size), MOST_DEFINITIONS
 
     def __iter__(self) -> Iterator[McapItem]:
-        """Messages, attachments, metadata and losses in order; InputError of the disk."""
-        self.position = len(MAGIC)  # byte behind the last record
-        lost: Loss | None = None  # the last chunk, while the message indexes behind it are counted
+        """Messages, attachments, metadata, losses in file order; InputError if the disk fails."""
+        self.position = len(MAGIC)  # first byte after the last record
+        lost: Loss | None = None  # the last lost chunk, while message indexes after it are counted
         while self.position < self.size:
             begin = self.position
             opcode, end, body = self._record(begin)
@@ -146,7 +146,7 @@ class McapRecords:
             ) from error
 
     def _record(self, begin: int) -> tuple[int, int, bytes | None]:
-        """Opcode, end and body of the record here; None for a body that cannot be one."""
+        """Opcode, end and body of the record at `begin`; body None if the header is invalid."""
         head = self._read(begin, HEAD.size)
         if len(head) < HEAD.size:
             return 0, self.size + 1, head
@@ -157,7 +157,7 @@ class McapRecords:
         return opcode, end, self._read(begin + HEAD.size, min(length, self.size))
 
     def _broken(self, begin: int, opcode: int, end: int, body: bytes | None) -> Iterator[McapItem]:
-        """What is left of a record that is cut or damaged; the next one is sought in the index."""
+        """Yield the rest of a cut or damaged record; continue at the next indexed chunk."""
         index = bisect_right(self._starts, begin)
         self.position = self._starts[index] if index < len(self._starts) else self.size
         is_chunk = opcode == Opcode.CHUNK
@@ -198,7 +198,7 @@ class McapRecords:
             yield Loss(begin, end, "damaged")
 
     def _chunk(self, body: bytes, begin: int, end: int, cut: bool = False) -> Iterator[McapItem]:
-        """The messages of a chunk; of one that is cut as far as they go."""
+        """The messages of a chunk; of a cut chunk, those before the cut."""
         self.chunks += 1
         try:
             chunk = _parsed(Opcode.CHUNK, body)
@@ -234,14 +234,14 @@ class McapRecords:
             yield Loss(begin, end, "cut" if cut else "damaged inside", chunk=True)
 
     def _message(self, content: bytes, first: int, behind: int) -> Iterator[Message]:
-        """The message of these bytes, which are copied once: a message may fill a chunk."""
+        """The message in these bytes, copied only once: a message may fill a chunk."""
         if behind - first < MESSAGE.size:
             raise ValueError("damaged")
         channel_id, sequence, log_time, publish_time = MESSAGE.unpack_from(content, first)
         data = content[first + MESSAGE.size : behind]
         message = Message(channel_id, log_time, data, publish_time, sequence)
         channel = self.channels.get(message.channel_id)
-        # By the specification, schema 0 is that of a channel without one.
+        # By the specification, schema id 0 means that a channel has no schema.
         if channel is None or (channel.schema_id and channel.schema_id not in self.schemas):
             self.unknown += 1
         else:
@@ -257,7 +257,7 @@ class McapRecords:
             definitions[record.id] = record
 
     def _summary(self) -> McapSummary:
-        """Read the end of the file; nothing of it when its checksum does not hold."""
+        """Read the summary at the end of the file; it is empty if its checksum does not match."""
         summary = McapSummary()
         at = self.size - len(MAGIC) - FOOTER.size - HEAD.size
         tail = self._read(max(at, 0), HEAD.size + FOOTER.size + len(MAGIC))
@@ -273,7 +273,7 @@ class McapRecords:
         if checksum and zlib.crc32(data[: at + HEAD.size + 16 - start]) != checksum:
             return summary
         summary.ended, left = True, MOST_DEFINITIONS
-        # A chunk has no business in a summary: it stays packed.
+        # Chunks do not belong in a summary: they stay packed.
         records = StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records
         with suppress(*PARSE_ERRORS):
             for record in records:

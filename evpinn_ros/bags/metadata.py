@@ -25,7 +25,7 @@ FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 @dataclass(slots=True)
 class WrittenTopic:
-    """A topic of a bag that is being written, and what its publisher offers, in YAML."""
+    """A topic of a bag that is being written, with the QoS of its publisher."""
 
     name: str
     type_name: str
@@ -36,7 +36,7 @@ class WrittenTopic:
 
 @dataclass(slots=True)
 class WrittenFile:
-    """A file of a bag that is being written: its messages, and first and last log time, ns."""
+    """A file of a bag that is being written: message count, first and last log time, ns."""
 
     name: str
     count: int = 0
@@ -51,7 +51,7 @@ class WrittenFile:
 
 
 def qos_profiles(topic_name: str) -> list[dict[str, Any]]:
-    """QoS of a topic's publisher in rosbag2's form; of others reliable, ten deep."""
+    """QoS of a topic's publisher in rosbag2's form; unknown topics are reliable, depth 10."""
     qos = (topic_of(topic_name) or SPEED).publisher_qos
     return [
         {
@@ -71,7 +71,7 @@ def qos_profiles(topic_name: str) -> list[dict[str, Any]]:
 def bag_information(
     files: Sequence[WrittenFile], topics: Iterable[WrittenTopic]
 ) -> dict[str, Any]:
-    """Description of a bag of MCAP files, as metadata.yaml holds it."""
+    """Content of metadata.yaml for a bag of MCAP files."""
     filled = [file for file in files if file.count] or files[:1]
     start_ns = min(file.start_ns for file in filled)
     end_ns = max(file.end_ns for file in filled)
@@ -117,20 +117,20 @@ def as_yaml(content: Any) -> str:
 
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:
-    """Replace metadata.yaml at one stroke: a kill leaves the old or the new one."""
+    """Replace metadata.yaml atomically: a kill leaves the old or the new file."""
     write_file(folder / METADATA, as_yaml({INFORMATION: information}))
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes what occurs twice twice: readers of rosbag2 expect no YAML references."""
+    """Writes repeated values in full: readers of rosbag2 expect no YAML references."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """True of whatever is written: no part becomes a reference."""
+        """Always True: no value becomes a reference."""
         return True
 
 
 def stated_seconds(bag: Path) -> float | None:
-    """Length of a bag as its metadata.yaml states it, s; None where it states none."""
+    """Duration of a bag by its metadata.yaml, s; None if missing or invalid."""
     try:
         document = load_plain(bag / METADATA, "metadata", MOST_METADATA)
         seconds = float(document[INFORMATION]["duration"]["nanoseconds"]) / NANOSECONDS

@@ -1,4 +1,4 @@
-"""Names by which a bag is known: what tells files apart need not read them."""
+"""Recognises bags by name, without importing their reader."""
 
 from pathlib import Path
 
@@ -7,5 +7,5 @@ PACKED = ".zstd"
 
 
 def is_bag(path: Path) -> bool:
-    """True if a path is a bag's by its looks."""
+    """True if a path looks like a bag: a folder, or a file with a bag's suffix."""
     return path.is_dir() or path.name.removesuffix(PACKED).endswith(BAG_SUFFIXES)

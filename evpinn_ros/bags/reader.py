@@ -1,4 +1,4 @@
-"""Reading bags without ROS: rosbag2 folders and `.mcap` and `.db3`, whole, packed or broken."""
+"""Reads bags without ROS: rosbag2 folders, `.mcap` and `.db3`, whole, packed or damaged."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TopicInfo:
 
 
 class Record(NamedTuple):
-    """A message of a bag, or its CDR bytes, and the time at which it was logged."""
+    """A message of a bag, or its CDR bytes, and its log time, ns."""
 
     topic: str
     type_name: str
@@ -49,11 +49,11 @@ class Record(NamedTuple):
 
 
 class BagReader:
-    """Reads an open bag in the order of log times."""
+    """An open bag, read in log time order."""
 
     def __init__(self, path: Path | str) -> None:
-        """Open a folder, `.mcap` or `.db3`; InputError with the file and the reason."""
-        self.path = Path(path)  # of the folder or file
+        """Open a folder, `.mcap` or `.db3` file; InputError names the file and the reason."""
+        self.path = Path(path)  # folder or file
         # messages that `records` left out, by reason: `unknown_type`, `not_cdr`, `too_large`,
         # `undecodable`
         self.dropped: Counter[str] = Counter()
@@ -80,7 +80,7 @@ class BagReader:
 
     @property
     def problem(self) -> str | None:
-        """Damage and losses in one line, or None; complete once `records` came to its end."""
+        """Damage and losses in one line, or None; complete once `records` is exhausted."""
         problems = [*self._problems, *(file.problem for file in self._files if file.problem)]
         return " | ".join(problems) or None
 
@@ -93,7 +93,7 @@ class BagReader:
                 self.dropped["undecodable"] += 1
 
     def raw_records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
-        """Records whose messages are still bytes, those that cannot be decoded too."""
+        """Records with messages as CDR bytes, including messages that cannot be decoded."""
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
@@ -103,7 +103,7 @@ class BagReader:
             yield Record(channel.topic, channel.type_name, log_time_ns, data)
 
     def stored(self) -> Iterator[tuple[int, Channel, bytes]]:
-        """Log time, ns, channel and bytes of every message in that order, as they are."""
+        """Log time, ns, channel and unchanged bytes of every message, in log time order."""
 
         def messages(file: BagFile) -> Iterator[tuple[int, Channel, bytes]]:
             for log_time_ns, id_, data in file.messages(file.channels):
@@ -112,11 +112,11 @@ class BagReader:
         yield from heapq.merge(*map(messages, self._files), key=itemgetter(0))
 
     def channels(self) -> set[Channel]:
-        """What the files say of the topics; of one topic they may say several things."""
+        """Descriptions of the topics in all files; files may describe a topic differently."""
         return {channel for file in self._files for channel in file.channels.values()}
 
     def log_times(self) -> Iterator[tuple[str, int]]:
-        """Topic and log time, ns, of every message in that order, also of types not known."""
+        """Topic and log time, ns, of every message in log time order, even of unknown types."""
         return ((channel.topic, log_time_ns) for log_time_ns, channel, _ in self.stored())
 
     def _raw(
@@ -146,11 +146,11 @@ def _no_bag(folder: Path) -> str:
 
 
 def _open(path: Path, problems: list[str]) -> list[BagFile]:
-    """The files of a bag, opened; what is missing or beside them goes to `problems`."""
+    """Open the files of a bag; missing and surplus files are added to `problems`."""
     if not path.is_dir():
         return [_open_alone(path, problems)]
     if (path / METADATA).exists():
-        check_file(path / METADATA)  # a pipe is no damage
+        check_file(path / METADATA)  # a pipe is an error, not damage
     metadata = _metadata(path / METADATA, problems)
     mode = _mode(metadata)
     paths, others = _files(path, "mcap"), _files(path, "db3")
@@ -176,7 +176,7 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
 
 
 def _open_alone(path: Path, problems: list[str]) -> BagFile:
-    """One file of a bag, unpacked as the metadata.yaml beside it says."""
+    """Open one file of a bag, unpacked as the metadata.yaml next to it states."""
     metadata = _metadata(path.with_name(METADATA), [])
     listed = _listed(metadata)
     if path.name not in listed:
@@ -191,12 +191,12 @@ def _mode(metadata: dict[str, Any]) -> str:
 
 
 def _listed(metadata: dict[str, Any]) -> set[str]:
-    """Names of the files; what is opened lies in the folder, whatever path the list says."""
+    """Listed file names without their paths: only files in the folder are opened."""
     return {Path(str(name)).name for name in metadata.get("relative_file_paths") or ()}
 
 
 def _files(folder: Path, storage: str) -> list[Path]:
-    """Files of a storage in order, even those not compressed yet when the power went."""
+    """Files of a storage by name, with files that a power loss left uncompressed."""
     files = {path.stem: path for path in folder.glob(f"*.{storage}{PACKED}")}
     files |= {path.name: path for path in folder.glob(f"*.{storage}")}
     return [files[name] for name in sorted(files)]
@@ -234,7 +234,7 @@ def _metadata(path: Path, problems: list[str]) -> dict[str, Any]:
 
 
 def _open_packed(packed: Path) -> PlainFile:
-    # Once it is open, it can be read without its name.
+    # An open file stays readable after its folder is deleted.
     with TemporaryDirectory() as folder:
         path = Path(folder) / packed.stem
         try:
@@ -243,7 +243,7 @@ def _open_packed(packed: Path) -> PlainFile:
                 file = _open_file(path)
         except InputError as error:
             raise InputError(str(error).replace(str(path), str(packed))) from error
-    file.path = packed  # which the person knows
+    file.path = packed  # the name that the user knows
     return file
 
 

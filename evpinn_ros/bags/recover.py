@@ -1,4 +1,4 @@
-"""`evpinn recover`: what a broken bag still holds, as a new bag, and what was lost."""
+"""`evpinn recover`: saves what is readable of a broken bag as a new bag; reports losses."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from evpinn_ros.common.opener import open_file
 from evpinn_ros.common.writer import new_file
 from evpinn_ros.common.yaml_section import plain_text
 
-MOST_LOSSES = 1000  # kept one by one; beyond, only their sum
+MOST_LOSSES = 1000  # listed one by one; later losses are only counted
 LONGEST_QOS = 10_000  # characters of YAML that are read
-ROSBAG2 = "rosbag2"  # metadata that is written anew
+ROSBAG2 = "rosbag2"  # name of the metadata record that is rewritten
 
-Progress = Callable[[int], None]  # takes bytes of the file done
+Progress = Callable[[int], None]  # called with the bytes read so far
 
 
 @dataclass(slots=True)
 class RecoveredFile:
-    """Yield of one file."""
+    """Result of recovering one file."""
 
     path: Path  # of the broken file
-    size: int = 0  # of it, bytes
+    size: int = 0  # bytes of that file
     messages: int = 0  # saved
-    unproven: int = 0  # those of them that no checksum covers
-    stated: int | None = None  # messages that the file says it held, None when it does not say
-    ended: bool = False  # it has its end and index
-    unknown_topic: int = 0  # messages left out, since the definition of their topic is lost
+    unproven: int = 0  # saved messages without a checksum
+    stated: int | None = None  # messages by the file's own count; None if it has none
+    ended: bool = False  # True if the file has its end and index
+    unknown_topic: int = 0  # messages omitted because the definition of their topic is lost
     start_ns: int = 0  # first log time saved; zero without a message
     end_ns: int = 0  # last log time saved
-    losses: list[Loss] = field(default_factory=list)  # the first `MOST_LOSSES` of them, in order
-    more_losses: int = 0  # those beyond
+    losses: list[Loss] = field(default_factory=list)  # the first `MOST_LOSSES`, in file order
+    more_losses: int = 0  # losses beyond these
     lost_bytes: int = 0  # of all losses
-    problem: str | None = None  # why it could not be read, or not to its end; None if it could
+    problem: str | None = None  # why it could not be read to its end; None if it could
 
     @property
     def lost_chunks(self) -> int:
@@ -59,7 +59,7 @@ class RecoveredFile:
 
     @property
     def lost_messages(self) -> int | None:
-        """Messages not saved; None when the file does not tell."""
+        """Number of messages not saved; None if unknown."""
         if self.stated is not None:
             return max(0, self.stated - self.messages)
         counts = [loss.messages for loss in self.losses]
@@ -69,13 +69,13 @@ class RecoveredFile:
 
     @property
     def whole(self) -> bool:
-        """Nothing was lost but, perhaps, the index."""
+        """True if no message was lost; the index may be."""
         if self.problem or self.unknown_topic or self.more_losses:
             return False
         return self.lost_messages == 0 if self.stated is not None else not self.losses
 
     def count(self, log_time_ns: int, written: WrittenFile, proven: bool) -> None:
-        """Count a message that was saved."""
+        """Count a saved message."""
         self.messages, self.unproven = written.count, self.unproven + (not proven)
         self.start_ns, self.end_ns = written.start_ns, written.end_ns
         for loss in reversed(self.losses):
@@ -84,7 +84,7 @@ class RecoveredFile:
             loss.before_ns = log_time_ns
 
     def note(self, loss: Loss) -> None:
-        """Add a loss behind the messages saved so far."""
+        """Add a loss that follows the messages saved so far."""
         loss.after_ns = self.end_ns if self.messages else None
         self.lost_bytes += loss.end - loss.begin
         if len(self.losses) == MOST_LOSSES:
@@ -94,10 +94,10 @@ class RecoveredFile:
 
 
 def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> list[RecoveredFile]:
-    """Save what a broken MCAP file, or a folder of them, still holds as a new bag.
+    """Save the readable messages of an MCAP file, or of a folder of them, as a new bag.
 
-    `progress` takes bytes done. Interrupted, it leaves nothing behind. InputError: no MCAP, `out`
-    in use, or no message could be saved. OSError: `out` cannot be written.
+    `progress` gets the bytes read so far. An interrupted call removes its files. InputError: no
+    MCAP, `out` in use, or no message could be saved. OSError: `out` cannot be written.
     """
     paths = broken_files(source)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -112,7 +112,7 @@ def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> lis
     except (InputError, OSError, KeyboardInterrupt):
         for path in (*files, out / METADATA):
             path.unlink(missing_ok=True)
-        with suppress(OSError):  # not empty: somebody else writes there too
+        with suppress(OSError):  # not empty: another process writes there too
             out.rmdir()
         raise
 
@@ -120,7 +120,7 @@ def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> lis
 def _recover_files(
     paths: list[Path], out: Path, files: list[Path], progress: Progress
 ) -> list[RecoveredFile]:
-    """Save each of them; `files` are those that were made."""
+    """Save each of `paths`; written files are added to `files`."""
     recovered: list[RecoveredFile] = []
     topics: dict[str, WrittenTopic] = {}
     written: list[WrittenFile] = []
@@ -147,7 +147,7 @@ def _nothing(source: Path, files: list[RecoveredFile]) -> str:
 
 
 def broken_files(source: Path) -> list[Path]:
-    """The MCAP files of a bag, in the order of their numbers."""
+    """The MCAP files of a bag, in the order of their numbers; InputError if none."""
     if not source.exists():
         raise InputError(f"{source}: no such file or folder")
     if source.is_file():
@@ -166,7 +166,7 @@ def broken_files(source: Path) -> list[Path]:
 
 
 def _number(path: Path) -> int:
-    """Number of one file of a bag: drive_10.mcap comes after drive_9.mcap."""
+    """Number in the name of a bag's file, -1 if none: drive_10 comes after drive_9."""
     digits = path.stem.rpartition("_")[2]
     return int(digits) if digits.isascii() and digits.isdigit() else -1
 
@@ -219,8 +219,8 @@ class _Copy:
         self._schemas = {0: 0}  # new ids by the old ones
         with as_input_error(path):
             self._file = new_file(path)
-        self.writer = Writer(self._file)  # of the library
-        # Readers that know ROS 2 refuse any other profile; the types are in the schemas.
+        self.writer = Writer(self._file)  # of the mcap library
+        # ROS 2 readers refuse any other profile; the types are in the schemas.
         self.writer.start(profile="ros2", library=LIBRARY)
 
     def __enter__(self) -> _Copy:
@@ -269,7 +269,7 @@ class _Copy:
 
 
 def _qos(channel: Channel) -> list[dict[str, Any]]:
-    """Offered quality of service, as in the file: rosbags reads a topic only if both agree."""
+    """Offered QoS as in the file: rosbags reads a topic only if metadata.yaml agrees with it."""
     text = channel.metadata.get("offered_qos_profiles", "")
     if len(text) > LONGEST_QOS:
         return []

@@ -1,4 +1,4 @@
-"""Reading by the rosbags library: MCAP files that have their index."""
+"""Reads MCAP files with an index by the rosbags library."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from evpinn_ros.bags.limits import unpacked
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.opener import check_file
 
-# rosbags unpacks whatever a chunk holds, without a limit.
+# rosbags itself unpacks chunks without a limit.
 DECOMPRESSORS.update({name: partial(unpacked, name) for name in ("zstd", "lz4")})
 
-# What a damaged file makes rosbags raise is listed nowhere: errors of its own, of zstd.
+# rosbags documents no exceptions for damaged files: it raises its own and those of zstd.
 READ_ERRORS = (Exception,)
 
 
 class RosbagsFile:
-    """An open MCAP file whose index is sound."""
+    """An open MCAP file with an intact index."""
 
     def __init__(self, path: Path) -> None:
-        """Open it; InputError if rosbags cannot."""
+        """Open the file; InputError if rosbags cannot."""
         self.path = path
-        self.problem: str | None = None  # what was lost, complete once all was read
+        self.problem: str | None = None  # losses; complete once all messages were read
         self._folder = TemporaryDirectory(prefix="evpinn-")
         try:
             self._open()
@@ -39,7 +39,7 @@ class RosbagsFile:
     def _open(self) -> None:
         path = self.path
         check_file(path)
-        # rosbags takes the path as an address, in which #, ? and % are no letters.
+        # rosbags parses the path as a URI, in which #, ? and % are reserved.
         link = Path(self._folder.name, "bag.mcap")
         link.symlink_to(path.resolve())
         self._reader = Reader(link)

@@ -1,7 +1,7 @@
-"""One `.db3` file of rosbag2: two tables, read by plain queries that end.
+"""One `.db3` file of rosbag2: two tables, read by simple queries of bounded time.
 
-What computes is refused: SQLite follows views, generated columns and defaults, without an end. It
-applies a killed recording's journal when it opens a private copy of both to write.
+Views, generated columns and defaults are refused, because SQLite could evaluate them endlessly.
+The journal of a killed recording is applied to a private copy of database and journal.
 """
 
 from __future__ import annotations
@@ -26,47 +26,47 @@ from evpinn_ros.common.opener import check_file, open_file
 from evpinn_ros.common.writer import copy_file
 
 ROLLBACK = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
-"""Begin of a journal; at its end it names another file, which SQLite would look at, and perhaps
-delete."""
+"""Magic bytes of a journal. A journal that also ends with them names another file, which SQLite
+would open and perhaps delete."""
 BEGINS = {"-wal": (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83"), "-journal": (ROLLBACK,)}
-"""Endings of the files beside a database, and how they begin; SQLite ignores others."""
-SHORTEST = 32  # bytes of such a file: its header, behind which frames or pages come
+"""Suffixes of journals and the magic bytes that they begin with; SQLite ignores others."""
+SHORTEST = 32  # bytes of a journal's header, before its frames or pages
 ATTEMPTS = 5  # to copy files that a recorder is writing
 
 FREE_STEPS, STEPS_A_BYTE = 1_000_000, 4
-"""Steps of SQLite's machine; to look through a bag of small messages takes half a step a byte."""
+"""Steps of SQLite's virtual machine; a bag of small messages needs half a step per byte."""
 PERIOD = 1000  # steps
-DAMAGE = (sqlite3.Error, UnicodeError)  # the latter where SQLite's own message quotes the file
+DAMAGE = (sqlite3.Error, UnicodeError)  # UnicodeError if SQLite's message quotes the file
 MOST_ENTRIES, MOST_SCHEMA = 100, 100_000  # tables and indices, bytes; rosbag2 makes six in 1 kB
 MOST_TOPICS = 10_000
-# Text, of which no message is, would be read to know its length; of what was cut nothing is left.
+# Messages are blobs: text counts as too large, since SQLite would load it to know its length.
 MESSAGE_BYTES = """SELECT total(
     CASE typeof(data) WHEN 'blob' THEN length(data) WHEN 'text' THEN 1e18 ELSE 0 END
 ) FROM messages NOT INDEXED"""
-# In the definition of a table.
+# Keywords that are refused in the definition of a table.
 COMPUTING = re.compile(r"\b(VIRTUAL|GENERATED|AS|WITHOUT|DEFAULT)\b", re.I)
 TOPIC_COLUMNS = ("id", "name", "type", "serialization_format")
-LATER_COLUMNS = ("offered_qos_profiles", "type_description_hash")  # not in bags of old
+LATER_COLUMNS = ("offered_qos_profiles", "type_description_hash")  # missing in older bags
 
 
 def journals(path: Path) -> list[Path]:
-    """The files beside a database that hold a part of it, by their headers."""
+    """Journals of a database that SQLite would apply, by their headers."""
     return [journal for journal, begins in _beside(path) if begins]
 
 
 def _beside(path: Path) -> Iterator[tuple[Path, bool]]:
-    """Files beside a database that hold anything, and whether SQLite would apply them."""
+    """Journals of a database that are not blank, and whether SQLite would apply each."""
     for ending, begins in BEGINS.items():
         journal = path.with_name(path.name + ending)
         if journal.is_file():
             with as_input_error(journal), open_file(journal) as file:
                 header = file.read(SHORTEST)
-            if header.strip(b"\0"):  # SQLite makes a header zero when it has done with it
+            if header.strip(b"\0"):  # SQLite zeroes the header of a finished journal
                 yield journal, len(header) == SHORTEST and header.startswith(begins)
 
 
 def merged(path: Path, folder: Path) -> Path:
-    """A copy of a database in an empty folder, its journals applied; or InputError."""
+    """Copy a database with its journals applied into an empty folder; or InputError."""
     copy, whole = folder / "copy.db3", folder / "merged.db3"
     with as_input_error(path):
         _copy_all(path, copy)
@@ -80,7 +80,7 @@ def merged(path: Path, folder: Path) -> Path:
         closing(sqlite3.connect(copy)) as database,
         closing(sqlite3.connect(whole)) as target,
     ):
-        database.backup(target)  # by pages, without the schema, which was not looked at yet
+        database.backup(target)  # copies pages without evaluating the schema, not checked yet
     return whole
 
 
@@ -106,9 +106,9 @@ class SqliteFile:
     """An open `.db3` file."""
 
     def __init__(self, path: Path) -> None:
-        """Open it; InputError if it is no bag, or more than tables."""
+        """Open the file; InputError if it is no bag, or has more than tables and indices."""
         self.path = path
-        self.problem: str | None = None  # what was lost, complete once all was read
+        self.problem: str | None = None  # losses; complete once all messages were read
         self._folder = TemporaryDirectory(prefix="evpinn-")
         self._database: sqlite3.Connection | None = None
         try:
@@ -145,13 +145,13 @@ class SqliteFile:
     def _refuse(self, fault: Callable[..., str | None], *arguments: Any) -> None:
         try:
             reason = fault(*arguments)
-        except ValueError as error:  # of the pages
+        except ValueError as error:  # raised by `SqlitePages`
             reason = str(error)
         if reason is not None:
             raise InputError(f"{self.path}: no bag: its database {reason}")
 
     def _begin_steps(self) -> None:
-        """Let the queries from here on take as many steps as a sound file of this size."""
+        """Limit the following queries to the steps that an intact file of this size needs."""
         assert self._database is not None
         periods = iter(range((FREE_STEPS + STEPS_A_BYTE * self._size) // PERIOD))
         self._database.set_progress_handler(lambda: next(periods, None) is None, PERIOD)
@@ -175,7 +175,7 @@ class SqliteFile:
             if id_ in channels or number == MOST_TOPICS:
                 fault = "two topics of one id" if id_ in channels else f"over {MOST_TOPICS} topics"
                 raise InputError(f"{self.path}: no bag: its database has {fault}")
-            # A damaged row has nothing or a number where a name stands.
+            # In a damaged row a name may be NULL or a number.
             if isinstance(id_, int) and all(isinstance(name, str) for name in names):
                 name, kind, encoding = names
                 definition, profiles = definitions.get(kind, ""), parsed_qos(qos)
@@ -202,7 +202,7 @@ class SqliteFile:
                 if not isinstance(log_time_ns, int) or log_time_ns < 0 or data is None:
                     damaged += 1
                     continue
-                held += len(data)  # an index may hold others than the table, and share them
+                held += len(data)  # a damaged index may list other rows, or one row many times
                 if held > self._size:
                     raise sqlite3.DatabaseError("an index holds more than the file")
                 yield log_time_ns, id_, data
@@ -219,7 +219,7 @@ class SqliteFile:
         self._folder.cleanup()
 
     def _with_journals(self) -> Path:
-        database = self.path.resolve()  # beside which SQLite writes its journals
+        database = self.path.resolve()  # SQLite writes its journals next to the real file
         for journal, begins in _beside(database):
             if not begins:
                 self._note(f"{journal.name} beside it has no header, and is not read")
@@ -247,7 +247,7 @@ def _columns(database: sqlite3.Connection, table: str) -> set[str]:
 
 
 def _schema_fault(pages: SqlitePages) -> str | None:
-    """Why a database has a schema that is none of a bag, or None; SQLite loads all of it."""
+    """Why a schema cannot be that of a bag, or None; SQLite would load all of it."""
     for number, held in enumerate(accumulate(pages.row_bytes(SCHEMA)), start=1):
         if number > MOST_ENTRIES:
             return f"has more than {MOST_ENTRIES} tables and indices"
@@ -257,13 +257,12 @@ def _schema_fault(pages: SqlitePages) -> str | None:
 
 
 def _fault(database: sqlite3.Connection, pages: SqlitePages, size: int) -> str | None:
-    """Why a database is no bag that can be read within the size of its file, or None.
+    """Why a database is no bag, or holds more than its file, or None.
 
-    A view in place of a table, or pages that lead to one another, could run for ever: SQLite
-    follows both.
+    A view in place of a table, or pages in a circle, could keep SQLite busy forever.
     """
     entries = database.execute("SELECT type, name, sql, rootpage FROM sqlite_master").fetchall()
-    for kind, _, sql, _ in entries:  # all of them before anything is read
+    for kind, _, sql, _ in entries:  # check all entries before reading any table
         if kind not in ("table", "index") or COMPUTING.search(str(sql)):
             return f"has a {kind} that computes, or no row ids"
     roots = {
@@ -281,7 +280,7 @@ def _fault(database: sqlite3.Connection, pages: SqlitePages, size: int) -> str |
 
 
 def _holds_more(database: sqlite3.Connection, indices: Iterable[str], size: int) -> bool:
-    """True if the messages take more than so many bytes, or they or an index do not end."""
+    """True if the messages exceed `size` bytes, or they or an index are endless."""
     try:
         (held,) = database.execute(MESSAGE_BYTES).fetchone()
     except DAMAGE as error:

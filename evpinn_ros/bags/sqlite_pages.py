@@ -1,7 +1,7 @@
-"""Sizes of the rows of a SQLite file by its pages, before SQLite loads what they hold.
+"""Sizes of the rows of a SQLite file, read from its pages before SQLite loads the rows.
 
-SQLite reads the whole schema before any query, and a whole text to know its length; rows may share
-their overflow pages, and those may lead in a circle. The format is that of "Database File Format"
+SQLite reads the whole schema before any query, and a whole text to know its length. Rows of a
+damaged file may share overflow pages, or these may form a circle. Format: "Database File Format"
 (sqlite.org).
 """
 
@@ -13,18 +13,18 @@ import struct
 from typing import BinaryIO
 
 SCHEMA = 1  # root page of the table of tables
-_HEADER = 100  # bytes before the first page's own
-_SIZE_AT = 16  # of the size of a page; 1 is 65536
-_INTERIOR, _LEAF = 5, 13  # pages of tables, as their first byte says
+_HEADER = 100  # bytes of the file header, in the first page
+_SIZE_AT = 16  # offset of the page size; the value 1 means 65536
+_INTERIOR, _LEAF = 5, 13  # first byte of a table's pages
 _COUNT_AT, _RIGHT_AT = 3, 8
-_LONGEST_NUMBER = 9  # bytes
+_LONGEST_NUMBER = 9  # bytes of a varint
 
 
 class SqlitePages:
     """The pages of an open file."""
 
     def __init__(self, file: BinaryIO) -> None:
-        """Read the size of a page; of a file that is none SQLite says so."""
+        """Read the page size; an invalid file is left for SQLite to refuse."""
         self._file = file
         header = file.read(_HEADER).ljust(_HEADER, b"\0")
         (size,) = struct.unpack_from(">H", header, _SIZE_AT)
@@ -32,9 +32,9 @@ class SqlitePages:
         self._count = os.fstat(file.fileno()).st_size // self._size
 
     def row_bytes(self, root: int) -> Iterator[int]:
-        """Bytes of each row of a table; damaged pages have none, as for SQLite.
+        """Bytes of each row of a table; damaged pages have no rows, as for SQLite.
 
-        ValueError if the pages of the table are more than those of the file.
+        ValueError if the table has more pages than the file.
         """
         waiting, left = [root], self._count
         while waiting:

@@ -1,4 +1,4 @@
-"""A rosbag2 bag in the other storage: MCAP to sqlite3 and back, every topic as it is."""
+"""Converts a rosbag2 bag from MCAP to sqlite3 or back, with every topic unchanged."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Storage(str, Enum):
 
 
 def _sqlite3_writer(path: Path, _: CompressionMode) -> Any:
-    """The library's own, which takes a path as an address, in which #, ? and % are no letters."""
+    """The library's writer; it parses a path as a URI, in which #, ? and % are reserved."""
     writer = object.__new__(Sqlite3Writer)
     writer.path = path / f"{path.name}.db3"
     writer.conn = sqlite3.connect(writer.path)
@@ -51,10 +51,10 @@ def change_storage(
     progress: Callable[[float], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Write a sound bag, byte for byte, into a new one; returns how many messages.
+    """Write an intact bag, byte for byte, into a new bag; returns the number of messages.
 
-    `progress` takes seconds of the recording; `stopped` ends it with a whole bag. InputError: the
-    bag is broken (`evpinn recover` saves MCAP), or `out` cannot be written.
+    `progress` gets the seconds of the recording done; once `stopped` is true, the new bag ends
+    there. InputError: the bag is broken (`evpinn recover` saves MCAP), or `out` not writable.
     """
     if out.exists():
         raise InputError(f"{out}: there already; give the name of a new folder")

@@ -1,4 +1,4 @@
-"""ROS 2 messages and their CDR bytes without ROS: rosbags' of Jazzy, CAN adapters', Autoware's."""
+"""ROS 2 messages and their CDR bytes without ROS: types of Jazzy, CAN adapters and Autoware."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def typestore() -> Any:
 
 
 def new_message(type_name: str, /, **fields: Any) -> Any:
-    """A message of `package/msg/Type`, other fields zero, false or empty (also a w).
+    """A message of `package/msg/Type`; fields not given are zero (also w), false or empty.
 
     KeyError: no such type. TypeError: no such field. ValueError: a fixed-size array of another
     size.
@@ -87,7 +87,7 @@ def encode(message: Any) -> bytes:
 
 
 def encode_frame(frame: CanFrame) -> bytes:
-    """A frame as CDR of `can_msgs/Frame`; ValueError: more than 8 bytes, or no ROS time."""
+    """A frame as CDR of `can_msgs/Frame`; ValueError: over 8 bytes, or no ROS time."""
     seconds, nanoseconds = divmod(frame.stamp_ns, NANOSECONDS)
     if len(frame.data) > CLASSIC or not 0 <= seconds < 2**31:
         raise ValueError(f"{FRAME_TYPE} cannot hold {frame}")
@@ -97,10 +97,10 @@ def encode_frame(frame: CanFrame) -> bytes:
 
 
 def decode(type_name: str, data: bytes) -> Any:
-    """The message in CDR bytes; KeyError or ValueError if none.
+    """Decode CDR bytes; KeyError: unknown type, ValueError: not a message of this type.
 
-    Bytes after it are ignored: Fast DDS sends up to eight, and `deserialize_cdr` refuses more than
-    three.
+    Bytes after the message are ignored: Fast DDS sends up to eight, and `deserialize_cdr` refuses
+    more than three.
     """
     definition = typestore().get_msgdef(type_name)
     if data[:2] not in (CDR_BIG_ENDIAN, CDR_LITTLE_ENDIAN):
@@ -121,7 +121,7 @@ def _layout(type_name: str) -> tuple[type, dict[str, Callable[[Any], Any]]]:
 
 
 def _maker(description: Any) -> Callable[[Any], Any]:
-    """Maker of the message's value from the given value of one field, or from None."""
+    """Function that converts a given value, or None, to the value of a message field."""
     kind, detail = description
     if kind == Nodetype.NAME:
         return lambda given: new_message(detail) if given is None else given

@@ -1,6 +1,6 @@
-"""Writing rosbag2 bags (MCAP) without ROS, such that a killed recording loses a second at most.
+"""Writes rosbag2 bags (MCAP) without ROS; a killed recording loses a second at most.
 
-A chunk ends when a second of log time is over, so the same writes give the same bytes.
+A chunk holds a second of log time, so the same writes give the same bytes.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from evpinn_ros.common.writer import new_file, sync
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 LIBRARY = "evpinn_ros"  # without a version, which would change the bytes
-CHUNK_SECONDS = 1.0  # lost when the process is killed
-JUMP_SECONDS = 60.0  # log time that falls back farther was set anew; less is a late message
-SYNC_SECONDS = 0.4  # between two writings to the disk, and the time of one is lost with the power
+CHUNK_SECONDS = 1.0  # of log time in a chunk, which a kill loses
+JUMP_SECONDS = 60.0  # larger steps back mean that log time was reset; smaller ones, a late message
+SYNC_SECONDS = 0.4  # between syncs to the disk; a power loss loses this and the time of a sync
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Limits at which a bag goes on in another file."""
+    """Limits at which a bag continues in another file."""
 
-    # bytes from which on a file is full; the chunk that fills it is still written to it
+    # bytes at which a file is full; the chunk that fills it still belongs to it
     size: float = math.inf
-    seconds: float = math.inf  # of log time that a file spans at most
+    seconds: float = math.inf  # of log time in a file at most
 
 
 class BagWriter:
-    """A bag being written: a context manager, which completes the bag whatever happens in it."""
+    """A bag being written: a context manager that completes the bag even after an exception."""
 
     def __init__(
         self, folder: Path | str, *, live: bool = False, split: Split | None = None
     ) -> None:
-        """Make the folder with the MCAP file and a first metadata.yaml; or InputError.
+        """Create the folder, the MCAP file and a first metadata.yaml; InputError if it cannot.
 
         `live` ends a chunk after a second of wall time too; `split` says when another file begins.
         """
@@ -71,7 +71,7 @@ class BagWriter:
                 self.folder.mkdir(exist_ok=True)
             raise InputError(f"{self.folder}: {error.strerror}") from error
         if live:
-            for parent in self.folder.resolve().parents:  # of which some may be new
+            for parent in self.folder.resolve().parents:  # some may be new
                 sync(parent)
 
     def __enter__(self) -> BagWriter:
@@ -85,7 +85,7 @@ class BagWriter:
         self.write_raw(topic, message.__msgtype__, encode(message), log_time_ns)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Add a message's CDR bytes; KeyError: no such type, ValueError: it had another."""
+        """Add a message's CDR bytes; KeyError: unknown type, ValueError: the topic has another."""
         written = self._topics.get(topic) or self._add_topic(topic, type_name)
         if written.type_name != type_name:
             raise ValueError(f"{topic} is {written.type_name}, not {type_name}")
@@ -100,7 +100,7 @@ class BagWriter:
         written.count += 1
 
     def flush(self) -> None:
-        """Hand all that was written to the operating system; every few seconds to the disk."""
+        """Flush to the operating system, and every `SYNC_SECONDS` to the disk."""
         self._part.flush()
         self._described_all()
 
@@ -157,10 +157,10 @@ def _refuse_used(folder: Path) -> None:
 
 
 class McapPart:
-    """An open file; a chunk ends when a second of log time is over."""
+    """An open MCAP file in chunks of a second of log time."""
 
     def __init__(self, path: Path) -> None:
-        self.written = WrittenFile(path.name)  # what is in it
+        self.written = WrittenFile(path.name)  # its message count and log times
         self._folder = path.parent
         self._file = new_file(path)
         self._channels: dict[str, int] = {}
@@ -179,7 +179,7 @@ class McapPart:
         return self._file.tell()
 
     def write(self, topic: WrittenTopic, data: bytes, log_time_ns: int) -> None:
-        """Add a message; its number is that of the topic, over all files."""
+        """Add a message; its sequence number counts the topic's messages over all files."""
         if topic.name not in self._channels:
             self._channels[topic.name] = self._add_channel(topic)
         if not self.written.count:
@@ -194,26 +194,26 @@ class McapPart:
         self.written.add(log_time_ns)
 
     def chunk_is_over(self, log_time_ns: int) -> bool:
-        """True if a message of this time begins another chunk."""
+        """True if a message at this log time begins a new chunk."""
         if not self.written.count:
             return False
         elapsed = (log_time_ns - self._chunk_ns) / NANOSECONDS
         return elapsed >= CHUNK_SECONDS or elapsed <= -JUMP_SECONDS
 
     def end_chunk(self, next_ns: int) -> None:
-        """Flush; the next chunk begins at this log time."""
+        """Flush; the next chunk begins at `next_ns`."""
         self.flush()
         self._chunk_ns = next_ns
 
     def flush(self) -> None:
-        """Hand all that was written to the operating system; OSError, also of earlier writes."""
+        """Flush to the operating system; OSError, also of an earlier sync."""
         self._writer.flush()
         self.flushed_s = time.monotonic()
         if self._problem is not None:
             raise self._problem
         idle = self._syncing is None or not self._syncing.is_alive()
         if idle and self.flushed_s - self._synced_s >= SYNC_SECONDS:
-            # Beside: a card may take a second, in which the car drives on.
+            # In a thread: a card may take a second, while the car drives on.
             self._syncing = threading.Thread(target=self._sync, daemon=True)
             self._syncing.start()
             self._synced_s = self.flushed_s
@@ -223,16 +223,16 @@ class McapPart:
             os.fsync(self._file.fileno())
         except OSError as error:
             self._problem = error
-        sync(self._folder)  # a new file has a name there only once this is done
+        sync(self._folder)  # makes the name of a new file durable
 
     def close(self, information: Any) -> None:
-        """Complete the file, with what metadata.yaml says of it; a second call does nothing."""
+        """Complete the file with the content of metadata.yaml; a second call does nothing."""
         if self._file.closed:
             return
         if self._syncing is not None:
             self._syncing.join()
         self._writer.flush()
-        # rosbag2 looks for this when it is given the bare file.
+        # rosbag2 reads this when it opens the file without its folder.
         self._writer.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
         self._writer.finish()
         self._file.flush()
