@@ -1,4 +1,4 @@
-"""The bridge without ROS: frames in, readings out, and how the bus is doing."""
+"""The bridge without ROS: decodes frames to readings and reports the health of the bus."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Readin
 STALE_PERIODS = 10
 PERIOD_WEIGHT = 0.05
 SHORTEST_PERIOD_NS = NANOSECONDS // 10
-"""Period below which nothing is called late: less than a second may be a busy computer."""
+"""Shorter periods count as this one: a busy computer may delay frames by almost a second."""
 LONGEST_PERIOD_NS = NANOSECONDS
-"""Period of the slowest signal worth waiting for, and of one not yet known."""
+"""Longest period of a signal, which is also assumed for one that is not known yet."""
 WAITING = "waiting"
 """Text of a bridge before the first frame."""
 
@@ -36,7 +36,7 @@ class SignalStatus:
     count: int  # readings so far
     rate: float  # readings per second, NaN until two came
     age: float  # seconds since the last, NaN before the first
-    stale: bool  # none for ten periods, or none ever
+    stale: bool  # no reading for ten periods, or none ever
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +47,12 @@ class BridgeStatus:
     text: str  # the state in a few words
     frames: int  # frames of the profile's ids
     unknown_frames: int  # frames of other ids
-    unknown_ids: int  # how many other ids, up to `MOST_IDS`
-    dropped: Mapping[str, int]  # values not used, by reason (see `Decoder`)
-    signals: Mapping[str, SignalStatus]  # `speed` and `battery`, as far as the profile has them
-    # why nothing is let out, None while the traffic does not contradict the profile
+    unknown_ids: int  # number of other ids, up to `MOST_IDS`
+    dropped: Mapping[str, int]  # unused values by reason (see `Decoder`)
+    signals: Mapping[str, SignalStatus]  # `speed` and `battery`, if in the profile
+    # why readings are refused; None while the traffic fits the profile
     refusal: str | None = None
-    # wrong sign of the current by the other signals, None while all is well
+    # fault of the sign of the current, by the other signals; None without one
     fault: str | None = None
 
 
@@ -68,7 +68,7 @@ class CanBridge:
         sign: CurrentSign | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin; `send` allows to ask, a `guard` holds readings back, a `sign` is watched."""
+        """`send` allows requests, `guard` holds readings back, `sign` checks the current."""
         self._key, self._guard, self._sign = profile.key, guard, sign
         self._decoder = Decoder(profile, guard.fit if guard is not None else None)
         self._arrivals = {name: _Arrivals() for name in _KINDS if name in profile.quantities}
@@ -76,7 +76,7 @@ class CanBridge:
         self._answers = 0
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
-        """The readings a frame makes known, its own and those held back so far; never raises."""
+        """The readings that a frame completes or releases; never raises."""
         if self.poller is not None and self.poller.is_answer(frame):
             self._answers += 1
             readings = self.poller.decode(frame)
@@ -98,13 +98,13 @@ class CanBridge:
 
     @property
     def better_profile(self) -> str | None:
-        """Key of a profile that fits where this one is refused; None where none does."""
+        """Key of a profile that fits where this one is refused; None if none fits."""
         contradiction = self._guard.contradiction if self._guard is not None else None
         return None if contradiction is None else contradiction.better
 
     @property
     def refusal(self) -> str | None:
-        """Reason why nothing is let out, and what would fit; None while nothing is refused."""
+        """Reason why readings are refused, and a profile that fits; None if none are refused."""
         contradiction = self._guard.contradiction if self._guard is not None else None
         if contradiction is None:
             return None
@@ -171,7 +171,7 @@ class _Arrivals:
     def record(self, stamp_ns: int) -> None:
         self._count += 1
         if self._last_ns is not None:
-            # Average the intervals, plainly at first; a pause counts as one long period at most.
+            # Average the intervals, at first with equal weight; a pause counts as one long period.
             clipped = min(max(stamp_ns - self._last_ns, 0), LONGEST_PERIOD_NS)
             intervals = self._count - 1
             if intervals == 1:
@@ -189,5 +189,5 @@ class _Arrivals:
             count=self._count,
             rate=NANOSECONDS / self._period_ns if self._period_ns else math.nan,
             age=age_ns / NANOSECONDS,
-            stale=not age_ns <= patience_ns,  # NaN, never came, is stale too
+            stale=not age_ns <= patience_ns,  # NaN, before the first reading, is stale too
         )

@@ -1,11 +1,11 @@
-"""A CAN adapter, read in one thread, that survives a quiet bus, unplugging and a broken driver.
+"""A CAN adapter read in one thread, which survives a quiet bus, unplugging and driver faults.
 
-Nothing is sent unless `send` is called, which the poller does through its gate; give an adapter
-that takes it `listen_only`, so that it does not even acknowledge frames.
+Nothing is sent unless `send` is called; the poller calls it through its gate. If the adapter
+supports `listen_only`, set it: the adapter then does not even acknowledge frames.
 
-Stamps follow one rule, chosen at the first frame after every opening: a driver's epoch (more than
-1e9 s) is used; an adapter's own quartz is mapped by a `ClockMap`. A frame without a stamp has its
-arrival's.
+The kind of stamps is chosen at the first frame after every opening: epoch stamps (above 1e9 s)
+of a driver are used; stamps of an adapter's own quartz are mapped by a `ClockMap`. A frame without
+a stamp is stamped at its arrival.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from evpinn_ros.common.errors import InputError, one_line
 LARGEST_DRIFT_PPM = 500
 """Largest drift of the clocks: quartz 100 ppm each; NTP slews a computer's clock by 500 ppm."""
 SET_ANEW_NS = 1_000_000_000
-"""A delay of more is no delay: the node's clock was set forward, as NTP does after booting."""
+"""Larger delays mean that the node's clock was set forward, as NTP does after booting."""
 
 
 class ClockMap:
-    """Maps stamps of one adapter; frames come in the order in which it received them.
+    """Maps stamps of one adapter to the node's clock, in the order in which it received frames.
 
-    No stamp is before its frame's moment, after its arrival, or before the stamp before it; nor
-    later than `d_k + 2 r age_k` for any earlier frame k, r the drift and d the delay. It begins
-    anew when either clock goes back and when the node's leaps forward.
+    A mapped stamp lies between the moment and the arrival of its frame, not before the last one,
+    and not later than `d_k + 2 r age_k` for any earlier frame k, with drift r and delay d. The map
+    starts anew when either clock goes back and when the node's clock leaps forward.
     """
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ class ClockMap:
         self._started = False
 
     def convert(self, device_ns: int, now_ns: int) -> int:
-        """The moment of a frame by the node's clock, ns, of its own stamp and its arrival."""
+        """Time of a frame by the node's clock, ns, from its own stamp and its arrival."""
         difference = now_ns - device_ns
         elapsed = device_ns - self._device_ns
         highest = self._offset_ns - (-elapsed * LARGEST_DRIFT_PPM // 1_000_000)  # rounded up
@@ -67,12 +67,12 @@ class ClockMap:
 RECEIVE_TIMEOUT_S = 0.1
 SILENT_AFTER_S = 1.0
 FIRST_BACKOFF_S = 0.5
-LAST_BACKOFF_S = 2.0  # with the 2 s that slcan needs to open, read again within 5 s
+LAST_BACKOFF_S = 2.0  # with the 2 s in which slcan opens, frames resume within 5 s
 GARBLED_PAUSE_S = 0.01
 SEND_TIMEOUT_S = 0.1
 SOCKET_QUEUE = 1 << 22  # bytes; a frame takes up to a thousand of them
-MANY_GARBLED = 100  # in a row: the driver does not recover by itself
-MANY_ERRORS = 100  # error frames in a row: there is no traffic that this adapter can read
+MANY_GARBLED = 100  # in a row, after which the driver does not recover by itself
+MANY_ERRORS = 100  # error frames in a row: this adapter can read no traffic
 SOCKETCAN_BUS_OFF = 0x40  # class bit in the id of an error frame (linux/can/error.h)
 
 DRIVERS: Mapping[str, str] = {
@@ -85,17 +85,17 @@ DRIVERS: Mapping[str, str] = {
     "udp_multicast": "the Python package msgpack",
     "vector": "Vector's XL Driver Library",
 }
-"""Packages that python-can needs beside itself for the adapters people have most."""
+"""Packages that python-can needs for the most common adapters."""
 
 INTERFACES = can.VALID_INTERFACES | {elm327.NAME}
-"""Drivers of python-can, and our own."""
+"""Drivers of python-can, and ours."""
 
 OUR_CLOCK = frozenset(
     {elm327.NAME, "virtual", "udp_multicast"}
     | {"iscan", "neousys", "seeedstudio", "slcan", "socketcan"}
 )
-"""Drivers of python-can 4.6 that stamp each frame by this computer's clock. Others that tell the
-epoch (kvaser, pcan, vector) add the time of the opening to the adapter's counter: they drift."""
+"""Drivers of python-can 4.6 that stamp frames by this computer's clock. Others with epoch stamps
+(kvaser, pcan, vector) add the opening time to the adapter's counter, so they drift."""
 
 
 class BusCondition(Enum):
@@ -114,14 +114,14 @@ class BusStatus:
     """One look at the adapter."""
 
     condition: BusCondition  # now
-    problem: str | None  # the last fault in one line with what to do about it, or None
+    problem: str | None  # the last fault and its remedy, in one line, or None
     # since the start: `frames`, `opened`, `lost`, `bus_off`, `error_frames`, `remote_frames`,
     # `garbled` (the driver could not read a frame), `callback_errors`, `close_errors`
     counters: Mapping[str, int]
 
 
 class BusReader:
-    """Hands every data frame of a bus to a callback, from a thread that calls `run`."""
+    """Passes every data frame of a bus to a callback, from the thread that calls `run`."""
 
     def __init__(
         self,
@@ -132,10 +132,10 @@ class BusReader:
         wait: Callable[[float], object] | None = None,
         **options: Any,
     ) -> None:
-        """Remember how to open the bus.
+        """Store how to open the bus.
 
-        `on_frame` is called in the thread of `run`, what it raises is counted; `now_ns` is the
-        node's clock; `wait` lets seconds pass before a new try; `options` go to `can.Bus`.
+        `on_frame` is called in the thread of `run`; its exceptions are counted. `now_ns` is the
+        node's clock; `wait` waits some seconds before a new try; `options` go to `can.Bus`.
         """
         self._interface, self._channel, self._options = interface, channel, options
         self._on_frame, self._now_ns = on_frame, now_ns
@@ -150,7 +150,7 @@ class BusReader:
         self._backoff_s = FIRST_BACKOFF_S
 
     def open(self) -> None:
-        """Open the bus now; InputError says what to do if it cannot be."""
+        """Open the bus now; if that fails, InputError says what to do."""
         try:
             if self._interface == elm327.NAME:
                 self._bus = elm327.Elm327Bus(
@@ -165,7 +165,7 @@ class BusReader:
                 )
         except Exception as error:
             # CanError, OSError, ValueError, NotImplementedError, AttributeError...: each driver
-            # has its own way to refuse, and all of them mean that there is no bus now.
+            # refuses in its own way, and every exception means that there is no bus now.
             self._problem = self._explained(error)
             raise InputError(self._problem) from error
         _deepen_queue(self._bus)
@@ -180,7 +180,7 @@ class BusReader:
         self._errors = self._garbled = 0
 
     def run(self) -> None:
-        """Read until `stop`; open the bus as often as it takes."""
+        """Read until `stop`; reopen the bus as often as needed."""
         try:
             while not self._stop.is_set():
                 if self._bus is not None or self._reopen():
@@ -189,11 +189,11 @@ class BusReader:
             self._close(BusCondition.CLOSED)
 
     def stop(self) -> None:
-        """Make `run` return, within about a tenth of a second plus the driver's own time."""
+        """Make `run` return, within about 0.1 s plus the driver's own time."""
         self._stop.set()
 
     def send(self, frame: CanFrame) -> bool:
-        """Send a frame; False when there is no bus now. Raises what the driver raises."""
+        """Send a frame; False without a bus. Exceptions of the driver propagate."""
         bus = self._bus
         if bus is None:
             return False
@@ -210,7 +210,7 @@ class BusReader:
     def _reopen(self) -> bool:
         try:
             self.open()
-        except InputError:  # the reason stays in `problem`
+        except InputError:  # `problem` keeps the reason
             self._condition = BusCondition.LOST
             self._back_off()
             return False
@@ -242,7 +242,7 @@ class BusReader:
                 self._take(message)
 
     def _is_off(self, message: Any) -> bool:
-        """True if the controller took itself off the bus. Few drivers report their state."""
+        """True if the controller went bus-off; few drivers report it."""
         if message is not None and self._interface == "socketcan":
             return bool(message.arbitration_id & SOCKETCAN_BUS_OFF)
         return self._bus.state is can.BusState.ERROR
@@ -254,7 +254,7 @@ class BusReader:
         self._back_off()
 
     def _stumble(self, error: Exception) -> None:
-        """Skip half a line of a serial adapter; the pause spares the processor."""
+        """Skip a broken line of a serial adapter; the pause saves processor time."""
         self._counters["garbled"] += 1
         self._garbled += 1
         self._problem = f"{self._name}: garbled frame: {one_line(error)}"
@@ -271,7 +271,7 @@ class BusReader:
             if self._errors >= MANY_ERRORS:
                 self._condition = BusCondition.ERRORS
             return
-        # Only a frame proves the bus: one that opens and fails at once keeps backing off.
+        # Only a frame proves the bus: if opening succeeds but reading fails, the backoff grows.
         self._condition, self._backoff_s = BusCondition.OPEN, FIRST_BACKOFF_S
         self._errors, self._was_off = 0, False
         if message.is_remote_frame:
@@ -288,7 +288,7 @@ class BusReader:
             self._problem = f"{self._name}: reader of the frames failed: {error!r}"
 
     def _stamp_ns(self, seconds: float) -> int:
-        if seconds == 0.0:  # python-can's default: a gs_usb without clock gives no other
+        if seconds == 0.0:  # python-can's default, and all that a gs_usb without a clock gives
             return self._now_ns()
         if self._stamps_are_ours is None:
             self._stamps_are_ours = self._interface in OUR_CLOCK and seconds > EPOCH_S
@@ -304,12 +304,12 @@ class BusReader:
         try:
             bus.shutdown()
         except Exception as error:
-            # An unplugged adapter cannot be stopped; it is gone already.
+            # An unplugged adapter cannot be stopped: ignore the error.
             self._counters["close_errors"] += 1
             self._problem = self._problem or f"{self._name}: closing failed: {one_line(error)}"
 
     def _explained(self, fault: BaseException | BusCondition) -> str:
-        """A fault in one line: which bus, the driver's message, what a person can do."""
+        """A fault in one line: the bus, the driver's message, the remedy."""
         what = fault.value if isinstance(fault, BusCondition) else one_line(fault)
         remedy = _remedy(fault, self._interface, self._channel)
         return f"CAN bus {self._name}: {what}" + (f"; {remedy}" if remedy else "")
@@ -320,13 +320,13 @@ class BusReader:
 
 
 def _deepen_queue(bus: Any) -> None:
-    """Let the system keep a second of a full bus, not 0.1 s; adapters may have no socket."""
+    """Buffer a second of a full bus instead of 0.1 s; adapters may have no socket."""
     with suppress(Exception):
         bus_socket = socket.socket(fileno=bus.fileno())
         try:
             bus_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_QUEUE)
         finally:
-            bus_socket.detach()  # it stays the driver's
+            bus_socket.detach()  # the driver still owns the socket
 
 
 def _remedy(error: BaseException | BusCondition, interface: str, channel: str | int) -> str | None:

@@ -1,4 +1,4 @@
-"""The conversation with one control unit: ISO-TP frames, one question at a time, its answers."""
+"""Talks to one control unit by ISO-TP: one request at a time, and its answers."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from evpinn_ros.can.request import Address, Answer, RequestRule, Send
 
 ANSWER_TIMEOUT_S = 1.0
 PENDING_TIMEOUT_S = 5.0
-"""Time to wait for an answer, and for one that the control unit asked to be waited for."""
+"""Timeout of an answer, and of one that the control unit announced as pending."""
 
 LONGEST_WAIT_S = 10.0
-"""Longest time that a control unit may go on asking to be waited for."""
+"""Longest total time for which a control unit may report an answer as pending."""
 
 REFUSALS = 3
 """Refusals in a row after which a request is not made again."""
 
 ANSWERS = ("answered", "short_answer", "pending", "busy", "refused")
-"""Counters of a control unit's answers, not of noise on its id."""
+"""Counters of a control unit's answers, without noise on its id."""
 
 NEGATIVE = 0x7F
-"""First byte of a refusal, before the service that was asked and the reason (ISO 14229-1)."""
+"""First byte of a refusal, before the requested service and the reason (ISO 14229-1)."""
 
 LOGGER = "evpinn_ros.isotp"
 LINK_OPTIONS = {"tx_padding": 0x00, "blocksize": 0, "stmin": 0, "logger_name": LOGGER}
-logging.getLogger(LOGGER).disabled = True  # it warns of every damaged frame, which we count
+logging.getLogger(LOGGER).disabled = True  # it warns of every damaged frame, and we count them
 
 
 class ControlUnit:
-    """Asks one control unit and puts its answers together; for one thread at a time."""
+    """Sends requests to one control unit and assembles its answers; for one thread at a time."""
 
     def __init__(
         self, address: Address, requests: Iterable[RequestRule], send: Send | None
     ) -> None:
-        """Prepare; requests come most urgent first; without `send` it listens alone."""
+        """Prepare; `requests` are in order of urgency; without `send` it only listens."""
         # `asked`, `answered`, `silent`, `pending`, `busy`, `refused`, `short_answer`,
         # `unexpected_answer` (to no request of the profile), `garbled` (not ISO-TP), `send_errors`
         self.counters: Counter[str] = Counter()
-        self.retired: dict[str, str] = {}  # refused too often, with the reason in words
+        self.retired: dict[str, str] = {}  # reason of each request that was refused too often
         self._requests = {request.name: request for request in requests}
         self._address, self._send = address, send
         self._due_s = dict.fromkeys(self._requests, -math.inf)
@@ -63,10 +63,10 @@ class ControlUnit:
         )
 
     def receive(self, frame: CanFrame, now_s: float) -> Answer | None:
-        """The answer that this frame of the control unit completes; never raises."""
+        """The answer that this frame completes, or None; never raises."""
         position = len(self._address.prefix)
         if len(frame.data) > position and frame.data[position] >> 4 in (0, 1):
-            self._stamp_ns = frame.stamp_ns  # a single or a first frame
+            self._stamp_ns = frame.stamp_ns  # a single frame or a first frame
         self._inbox.append(
             isotp.CanMessage(
                 arbitration_id=frame.can_id,
@@ -81,11 +81,11 @@ class ControlUnit:
 
     @property
     def answers(self) -> int:
-        """Count of all replies of the control unit, refusals too."""
+        """Number of all replies of the control unit, including refusals."""
         return sum(self.counters[kind] for kind in ANSWERS)
 
     def step(self, now_s: float, may_ask: Collection[str]) -> float:
-        """Give up waiting, ask what is due of `may_ask`; gives the time of the next step."""
+        """Handle a timeout, send what is due of `may_ask`; returns the time of the next step."""
         if self._asked is not None and now_s >= self._deadline_s:
             self.counters["silent"] += 1
             self._finish()
@@ -98,7 +98,7 @@ class ControlUnit:
         return math.inf if self._asked is None else self._deadline_s
 
     def revive(self) -> None:
-        """Ask again what was refused: the car has been asleep since."""
+        """Allow refused requests again: the car has slept since."""
         self._due_s = dict.fromkeys(self._requests, -math.inf)
         self._refusals.clear()
         self.retired.clear()
@@ -121,13 +121,13 @@ class ControlUnit:
         self._link.stop_receiving()
 
     def _transmit(self, message: isotp.CanMessage) -> None:
-        """Send what the link made; flow control only for an answer to our own question."""
+        """Send a frame of the ISO-TP link, only while a request of ours waits for its answer."""
         if self._asked is None or self._send is None:
             return
         try:
             self._sent = self._send(CanFrame.of(message, 0))
         except Exception:
-            # Each driver has its own way to fail; the bus reader finds out whether it is lost.
+            # Each driver fails in its own way; the bus reader detects a lost bus.
             self.counters["send_errors"] += 1
             self._sent = True
 

@@ -1,4 +1,4 @@
-"""Check of a bus's current against the sign that its profile declares."""
+"""Checks the current of a bus against the sign that its profile declares."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 
 PERIOD_NS = NANOSECONDS // 11
-"""Readings that follow sooner are left out: ten a second tell accelerations."""
-AT_ONCE = 500  # readings
-LONGEST_STEP = 2.0  # s that one reading stands for at most
-AIR_DENSITY = 1.2  # kg/m^3; the stream asks, the signs do not
+"""Sooner readings are left out: ten per second are enough for accelerations."""
+AT_ONCE = 500  # readings that are checked at once
+LONGEST_STEP = 2.0  # s: longest time that one reading counts for
+AIR_DENSITY = 1.2  # kg/m^3; the stream needs it, the sign does not
 
 
 class CurrentSign:
-    """Follows the readings of one bus; reports, and corrects nothing."""
+    """Follows the readings of one bus; reports a wrong sign but corrects nothing."""
 
     def __init__(self) -> None:
         settings = StreamSettings(grade_source=GradeSource.NONE)
@@ -34,7 +34,7 @@ class CurrentSign:
 
     @property
     def decided(self) -> bool:
-        """True if there was enough pulling away, braking or charging to judge by."""
+        """True if the car pulled away, braked or charged enough to judge the sign."""
         self._follow()
         return self._driving.verdict is not None or self._charging.verdict is not None
 
@@ -51,7 +51,7 @@ class CurrentSign:
         return f"{fault}: {why}; flip positive_means in the profile"
 
     def add_reading(self, reading: Reading) -> None:
-        """Learn from a reading; where time jumps nothing is joined."""
+        """Learn from a reading; readings are not joined across a time jump."""
         for item in self._time.admit(type(reading), reading.stamp_ns, reading):
             if isinstance(item, Jump):
                 self._follow()

@@ -1,4 +1,4 @@
-"""DBC files of whatever origin: what a profile names in one, found or refused with the reason."""
+"""DBC files of any origin: finds the messages and signals of a profile or says what is wrong."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _SPEED_UNITS: Mapping[str, str] = {
 }
 
 LARGEST_FILE = 5_000_000  # characters
-# Of one message, of which cantools lays out every bit and page:
+# Limits of one message, of which cantools lays out every bit and page:
 LARGEST_MESSAGE = 500_000  # characters
 LAST_BIT = 20_000  # J1939 carries 1785 bytes
-MOST_SIGNALS = 2_000  # cantools compares each with each
+MOST_SIGNALS = 2_000  # cantools compares each signal with each
 MOST_PAGES = 5_000_000  # of multiplexed signals, which cantools lists one by one
-MOST_BITS = 20_000_000  # of all signals together
+MOST_BITS = 20_000_000  # bits of all signals together
 
 _CLOSING = {'"': re.compile(r'(?<!\\)"'), "//": re.compile(r"$", re.M)}
 _OPENING = re.compile('"|//')
@@ -45,14 +45,13 @@ _NUMBER = re.compile(r"\b\d+")
 
 
 class DbcFile:
-    """The DBC file that a profile names, not strict.
+    """The DBC file that a profile names, parsed leniently.
 
-    cantools gets the text of one message alone: a whole file of 5 MB would take it 10 s and 700
-    MB.
+    cantools gets the text of one message only: a file of 5 MB would take it 10 s and 700 MB.
     """
 
     def __init__(self, root: Section, path: Path) -> None:
-        """Read it; InputError without a file or a message."""
+        """Read the file; InputError if it is missing or has no message."""
         try:
             with TextIOWrapper(open_file(path), "cp1252", "replace") as file:
                 self._text = file.read(LARGEST_FILE + 1)
@@ -66,7 +65,7 @@ class DbcFile:
             raise root.error_at("dbc", f"{path}: not a DBC file: it has no message")
 
     def message(self, section: Section) -> Any:
-        """The `cantools.database.Message` that a section names, or InputError."""
+        """The `cantools.database.Message` that a section names; InputError if none or invalid."""
         name = section.text("message")
         if name not in self._messages:
             reason = f"the DBC file has no message '{name}'{near_names(name, self._messages)}"
@@ -77,11 +76,11 @@ class DbcFile:
         try:
             (message,) = cantools.database.load_string(text, "dbc", strict=False).messages
         except Exception as error:
-            # Errors of its own, of the parser, and whatever a broken file makes it stumble over.
+            # cantools raises errors of its own, of its parser, and any other for a broken file.
             reason = f"{self._path}: message '{name}' cannot be read: {error}"
             raise section.error_at("message", reason) from error
         if not message.is_multiplexed() and _PAGED.search(bare):
-            # cantools then reads every page as if it were the only one.
+            # cantools would then read every page as if it were the only one.
             reason = f"message '{name}' is multiplexed, but no signal of it is the multiplexer 'M'"
             raise section.error_at("message", reason)
         if message.is_multiplexed() and (fault := _fault_of_pages(message)):
@@ -89,7 +88,7 @@ class DbcFile:
         return message
 
     def _cut(self, start: re.Match[str]) -> tuple[str, str]:
-        """Layout of one message in the file, as it stands and without its strings."""
+        """Text of one message's layout in the file, with and without its strings."""
         after = _STATEMENT.search(self._bare, start.end())
         parts = [slice(start.start(), after.start() if after else None)]
         of_message = rf"\b(?:SG_MUL_VAL_|SIG_VALTYPE_)\s+{start[1]}\b[^;]*;"
@@ -98,7 +97,7 @@ class DbcFile:
 
 
 def _bare(text: str) -> str:
-    """A DBC file's text with blanks for its strings and comments, of the same length."""
+    """Text of a DBC file with strings and comments blanked, of the same length."""
     bare, place = StringIO(), 0
     while begin := _OPENING.search(text, place):
         end = _CLOSING[begin[0]].search(text, begin.end())
@@ -110,7 +109,7 @@ def _bare(text: str) -> str:
 
 
 def find_signal(section: Section, key: str, message: Any) -> Any:
-    """The `cantools.database.Signal` that `key` names; InputError if none or not whole."""
+    """The `cantools.database.Signal` that `key` names; InputError if missing or invalid."""
     name = section.text(key)
     names = [str(signal.name) for signal in message.signals]
     if name not in names:
@@ -125,7 +124,7 @@ def find_signal(section: Section, key: str, message: Any) -> Any:
 
 
 def _fault_of_pages(message: Any) -> str | None:
-    """Reason why cantools, which reads a page as a whole, would misread a multiplexed message."""
+    """Why cantools, which reads a page as a whole, would misread a multiplexed message."""
     for signal in message.signals:
         if _hangs_over(signal, message):
             return _overhang(signal, message)
@@ -145,7 +144,7 @@ def _overhang(signal: Any, message: Any) -> str:
 
 
 def refuse_other_unit(section: Section, signal: Any) -> None:
-    """Raise when profile and DBC file name different units of speed, and no scale says why."""
+    """Raise InputError if profile and DBC file differ in the unit of speed without a scale."""
     stated = _SPEED_UNITS.get(str(signal.unit or "").strip().lower())
     if stated and stated != section.text("unit") and not section.has("scale"):
         reason = (
@@ -155,13 +154,13 @@ def refuse_other_unit(section: Section, signal: Any) -> None:
 
 
 class Place(NamedTuple):
-    """Place in the payloads of a message."""
+    """Bits and pages of a signal in the payloads of its message."""
 
     bits: frozenset[int]  # bit 0 is the lowest of byte 0
-    pages: frozenset[int] = frozenset()  # of a multiplexed message that have it; empty for all
+    pages: frozenset[int] = frozenset()  # multiplexed pages with the signal; empty: all
 
     def overlaps(self, other: Place) -> bool:
-        """True if one frame can hold both, and one bit is of both."""
+        """True if the two places share a bit in some frame."""
         other_page = self.pages and other.pages and not self.pages & other.pages
         return bool(self.bits & other.bits) and not other_page
 
@@ -171,13 +170,13 @@ def place_of(signal: Any) -> Place:
     pages = frozenset(signal.multiplexer_ids or ())
     if signal.byte_order == "little_endian":
         return Place(frozenset(range(signal.start, signal.start + signal.length)), pages)
-    # Motorola counts on from the highest bit of a byte to its lowest, then to the next byte.
+    # Motorola signals run from the highest bit of a byte to its lowest, then to the next byte.
     first = signal.start ^ 7
     return Place(frozenset(bit ^ 7 for bit in range(first, first + signal.length)), pages)
 
 
 def _excess(text: str) -> str | None:
-    """The too large part in the text of a message; None when nothing is."""
+    """The limit that the text of a message exceeds, in words; None if none."""
     if len(text) > LARGEST_MESSAGE:
         return f"it has more than {LARGEST_MESSAGE} characters"
     places = [_whole(number) for match in _PLACE.finditer(text) for number in match.groups()]

@@ -1,4 +1,4 @@
-"""From frames, and from answers to questions, to readings: what a profile says of a bus."""
+"""Decodes frames, and answers to requests, to readings by the rules of a profile."""
 
 from __future__ import annotations
 
@@ -21,42 +21,42 @@ from evpinn_ros.core.signals.readings import (
 )
 
 STUCK_AFTER = 5
-"""Frames in a row with one counter value after which a sender counts as frozen; logs that lose
-frames repeat a value now and then, so one repetition proves nothing."""
+"""Frames in a row with one counter value after which the sender counts as frozen. Logs that lose
+frames repeat a value now and then, so a single repetition proves nothing."""
 
 CHARGE_HOLD_NS = 10 * NANOSECONDS
-"""Time for which a state of charge goes with later battery readings. Cars send it about once
-a second, in another message; at 100 kW it moves less than 0.5 % in this time."""
+"""Time for which a state of charge is added to later battery readings. Cars send it about once
+a second, in another message; at 100 kW it changes by less than 0.5 % in this time."""
 
 TORQUE_HOLD_NS = NANOSECONDS // 5
 """Time for which a second motor's torque is added to that of the first. Cars send both 100 times a
-second; logs of slow adapters hold one of each about every 0.1 s."""
+second; logs of slow adapters hold one frame of each about every 0.1 s."""
 
 ALONE_AFTER_NS = 2 * NANOSECONDS
-"""A car whose second motor sent nothing for so long since the first has none."""
+"""Without a frame of the second motor for this time after the first's, the car has none."""
 
 PARTS = ("voltage", "current")
 READ_ORDER = ("state_of_charge", "second_motor", "motor", "speed", "battery", *PARTS)
-"""Quantities of one message in the order of their readings: what completes others comes first."""
+"""Quantities of one message in reading order: a value comes before those that it completes."""
 
 JOIN_NS = NANOSECONDS // 5
-"""Voltage and current of two answers or messages at most this far apart are of one moment, that of
-the current: it can change by 100 A in this time, a pack's voltage by 2 %. What is farther apart,
-behind a slow adapter, are two readings with stamps of their own."""
+"""Voltage and current of two answers or messages at most this far apart form one reading, at the
+time of the current: it can change by 100 A in this time, a pack's voltage by 2 %. Behind a slow
+adapter they may be farther apart; they are then two readings with their own stamps."""
 
 Unpack = Callable[[bytes], dict[str, int]]
-"""From a payload to the raw bits by name, of those signals that lie in it whole."""
+"""Maps a payload to raw values by name, for signals that lie wholly in it."""
 
 
 class Decoder:
-    """Decodes the frames of one bus. `decode` never raises: what cannot be used is counted."""
+    """Decodes the frames of one bus. `decode` never raises: unusable values are counted."""
 
     def __init__(self, profile: CanProfile, fit: ProfileFit | None = None) -> None:
-        """Decode by a profile; `fit`, of the same one, is given the result of every frame."""
+        """Decode by a profile; `fit`, of the same profile, gets the result of every frame."""
         self.known = 0  # frames with an id of the profile
-        self.unknown: Counter[int] = Counter()  # frames of every other id, of the first `MOST_IDS`
-        self.uncounted = 0  # frames of the ids beyond
-        # values not used, by reason: `short_frame`, `undecodable`, `bad_checksum`,
+        self.unknown: Counter[int] = Counter()  # frames of other ids, for the first `MOST_IDS`
+        self.uncounted = 0  # frames of further ids
+        # unused values by reason: `short_frame`, `undecodable`, `bad_checksum`,
         # `unknown_multiplexer`, `stuck_counter`, `not_available`, `out_of_range`
         self.dropped: Counter[str] = Counter()
         self._readers: dict[BusId, list[_Reader]] = {}
@@ -72,7 +72,7 @@ class Decoder:
                 self._readers.setdefault(rule.key, []).append(reader)
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
-        """The readings in a frame, none when it is of another id or may not be used."""
+        """The readings in a frame; none if its id is unknown or its values are unusable."""
         readers = self._readers.get(frame.key)
         if readers is None:
             if frame.can_id in self.unknown or len(self.unknown) < MOST_IDS:
@@ -101,7 +101,7 @@ class Decoder:
         return tuple(readings)
 
     def _reading(self, reader: _Reader, stamp_ns: int, values: list[float]) -> Reading | None:
-        """The reading that the values of a quantity make, None of what completes others."""
+        """The reading of a quantity's values; None for a value that completes other readings."""
         match reader.quantity:
             case "speed":
                 return _speed_reading(stamp_ns, values[0], reader.rule.signals[0].resolution)
@@ -110,7 +110,7 @@ class Decoder:
                 return BatteryReading(stamp_ns, values[0], values[1], charge)
             case "state_of_charge":
                 self._charge.keep(stamp_ns, values[0])
-            case "second_motor":  # NaN where the profile knows the message alone
+            case "second_motor":  # NaN if the profile knows only the message
                 self._second_torque.keep(stamp_ns, values[0] if values else math.nan)
             case "motor":
                 other = self._other_torque(stamp_ns)
@@ -119,7 +119,7 @@ class Decoder:
         return None
 
     def _other_torque(self, stamp_ns: int) -> float:
-        """Torque of a second motor, N m: 0 in a car without it, NaN while that is not known."""
+        """Torque of a second motor, N m: 0 in a car without one, NaN while that is unknown."""
         if not self._has_second_motor:
             return 0.0
         if self._second_torque.stamp_ns is not None:
@@ -130,12 +130,12 @@ class Decoder:
 
 
 def _speed_reading(stamp_ns: int, speed: float, step: float) -> SpeedReading:
-    # A rounded number is off by a uniform error of one step: variance step^2 / 12.
+    # Rounding to a step gives a uniform error: variance step^2 / 12.
     return SpeedReading(stamp_ns, speed, step**2 / 12)
 
 
 class _HeldValue:
-    """A value that goes with the readings of other messages, for a time."""
+    """A value that is added to readings of other messages, for a limited time."""
 
     def __init__(self, hold_ns: int) -> None:
         self.stamp_ns: int | None = None
@@ -150,14 +150,14 @@ class _HeldValue:
 
 
 class _Pairs:
-    """Joins voltages and currents that come apart (`JOIN_NS`)."""
+    """Joins voltages and currents of separate messages (`JOIN_NS`)."""
 
     def __init__(self, charge: _HeldValue) -> None:
         self._waiting: dict[str, tuple[int, float]] = {}
         self._charge = charge
 
     def add(self, stamp_ns: int, part: str, value: float) -> list[BatteryReading]:
-        """Take one of `PARTS`, V or A; give what it completes, and what is alone."""
+        """Take a value of one of `PARTS`, V or A; returns the readings that are now final."""
         alone = {
             name: waiting
             for name, waiting in self._waiting.items()
@@ -193,7 +193,7 @@ class _Reader:
         self._repeated = 0
 
     def values(self, frame: CanFrame) -> list[float] | None:
-        """SI values, None for another page of a multiplexed message; or UnusableError."""
+        """SI values; None for another page of a multiplexed message. Raises UnusableError."""
         raw = self._unpack(frame.data)
         self._check_checksum(frame)
         self._check_counter(raw)
@@ -206,11 +206,11 @@ class _Reader:
 
     def _unpack(self, data: bytes) -> dict[str, int]:
         try:
-            # Cars shorten frames from one software version to the next: read what is there.
+            # Cars shorten frames between software versions: read the signals that are there.
             return self._raw(data)
         except Exception:
-            # cantools documents DecodeError alone, yet a multiplexer or a layout of a user's
-            # file can fail in other ways, and a frame must never stop the bridge.
+            # cantools documents DecodeError alone, but a multiplexer or layout of a user's file
+            # can raise others, and no frame may stop the bridge.
             paged = self.rule.message.is_multiplexed()
             raise UnusableError("unknown_multiplexer" if paged else "undecodable") from None
 
@@ -234,10 +234,10 @@ class _Reader:
 
 
 def unpacker(message: Any, names: Collection[str]) -> Unpack:
-    """Reader of some signals of a `cantools.database.Message`, from the payload as a number.
+    """Fast reader of some signals of a `cantools.database.Message`, from the payload as a number.
 
-    cantools reads every signal, which is slow. It still reads multiplexed messages, whose
-    exceptions come through, floating-point signals and those that hang over the end.
+    cantools reads every signal, which is slow. It is still used, with its exceptions, for
+    multiplexed messages, floating-point signals and signals that exceed the message.
     """
     fields = [_Field(message.get_signal_by_name(name)) for name in names]
     bits = 8 * message.length
@@ -271,8 +271,8 @@ def unpacker(message: Any, names: Collection[str]) -> Unpack:
 class _Field:
     """Place of a signal; bits count from the payload's start in the signal's byte order.
 
-    Motorola signals count the highest bit of a byte first; a DBC names their first bit by its
-    place within the byte all the same, bit 7 of byte 0 being the very first.
+    Motorola signals count from the highest bit of each byte; a DBC file numbers bits within the
+    byte, where bit 7 of byte 0 is the very first.
     """
 
     def __init__(self, signal: Any) -> None:
@@ -281,18 +281,18 @@ class _Field:
         self.start = int(signal.start if self.is_little else signal.start ^ 7)
         self.end = self.start + int(signal.length)
         self.mask = (1 << signal.length) - 1
-        # Two's complement: (x ^ sign) - sign is x below the sign bit, x - 2 sign from it on.
+        # Two's complement: (x ^ sign) - sign gives x below the sign bit, else x - 2 sign.
         self.sign = 1 << signal.length - 1 if signal.is_signed else 0
 
 
 class AnswerDecoder:
-    """Makes readings of the answers of one car; for one thread at a time."""
+    """Decodes the answers of one car to readings; for one thread at a time."""
 
     def __init__(self, profile: CanProfile) -> None:
-        # values not used, by reason: `not_available`, `out_of_range`, `not_together` (the voltage
-        # or current beside one that is neither, in one answer)
+        # unused values by reason: `not_available`, `out_of_range`, `not_together` (voltage or
+        # current whose partner in the same answer is missing or unusable)
         self.dropped: Counter[str] = Counter()
-        self.auxiliary_voltage = math.nan  # V, of the 12 V battery in the last answer
+        self.auxiliary_voltage = math.nan  # V, of the 12 V battery in the last answer, or NaN
         self._fields: dict[str, list[AnswerField]] = {}
         for fields in profile.asked.values():
             for field in fields:
@@ -301,7 +301,7 @@ class AnswerDecoder:
         self._pairs = _Pairs(self._charge)
 
     def decode(self, answer: Answer) -> tuple[Reading, ...]:
-        """The readings that this answer makes or completes."""
+        """The readings that this answer contains or completes."""
         readings: list[Reading] = []
         values = self._values(answer)
         stamp_ns = answer.stamp_ns
@@ -320,7 +320,7 @@ class AnswerDecoder:
         return tuple(readings)
 
     def _values(self, answer: Answer) -> dict[str, tuple[float, float]]:
-        """Value and step, SI, of each quantity in the answer that may be used."""
+        """Value and step, SI, of each usable quantity in the answer."""
         values = {}
         for field in self._fields[answer.request.name]:
             try:

@@ -1,8 +1,8 @@
-"""The only ids of a CAN bus that requests may go to, each with the source that calls it so.
+"""The only CAN ids to which requests may go, each with the source that documents it.
 
-Every other id may belong to a control unit: a frame of ours there would say, in its name, that the
-brake is pressed or the airbag fired. A car whose diagnostic id is not here gets a row, with its
-source, in a reviewed change of this file; no profile can add one.
+Any other id may belong to a control unit: a frame of ours there could claim, in its name, that the
+brake is pressed or the airbag fired. A new diagnostic id is added here, with its source, in a
+reviewed change; profiles cannot add ids.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from collections.abc import Mapping
 
 LAST_11_BIT_ID = 0x7FF
 TESTER = 0xF1
-"""Address of a tester on the plug, in ISO 15765-4 and at BMW."""
+"""Address of a diagnostic tester, in ISO 15765-4 and at BMW."""
 
 FUNCTIONAL = frozenset({0x7DF, 0x18DB33F1})
-"""Ids that every control unit receives; flow control must not go there (ISO 15765-4)."""
+"""Ids that every control unit receives; flow control must not use them (ISO 15765-4)."""
 
 BMW_GATEWAY = 0x6F1
-"""The one id whose first byte names the control unit (extended addressing)."""
+"""The id whose frames name the control unit in their first byte (extended addressing)."""
 
 
 def _pairs(requests: range, first_answer: int) -> Mapping[int, range]:
-    """Each request id with the one id of its answers, counted up side by side."""
+    """Answer id of each request id; both count up together."""
     answers = range(first_answer, first_answer + requests.step * len(requests), requests.step)
     return {tx: range(rx, rx + 1) for tx, rx in zip(requests, answers, strict=True)}
 
@@ -51,18 +51,18 @@ REQUEST_IDS: Mapping[str, Mapping[int, range]] = {
         range(0x17FC0000, 0x17FC0100), 0x17FE0000
     ),
 }
-"""By source: the ids of requests, and those that their answers may come from."""
+"""By source: request ids, and the ids from which each may be answered."""
 
 _ANSWERS = {tx: rx for pairs in REQUEST_IDS.values() for tx, rx in pairs.items()}
 
 
 def is_request_id(can_id: int, extended: bool) -> bool:
-    """True if testers send on this id, and no control unit of a car does."""
+    """True if only testers, and no control unit, send on this id."""
     return can_id in _ANSWERS and extended == (can_id > LAST_11_BIT_ID)
 
 
 def refusal(tx_id: int, rx_id: int, target: int | None, source: int | None) -> str | None:
-    """Why no request may go to a control unit, or None; `target`, `source` are first bytes."""
+    """Why a control unit may not be asked, or None; `target`, `source` are first bytes."""
     if tx_id not in _ANSWERS:
         return (
             f"0x{tx_id:X} is no diagnostic id (ISO 15765-4, or on the list in "

@@ -1,9 +1,9 @@
 """ELM327 and OBDLink adapters as a bus of python-can: frames in and out over AT commands.
 
-The adapter makes flow control itself (ISO 15765-2). Only the given requests, which read
-(`request.READ_SERVICES`), leave it; between questions it monitors broadcast ids. The AT commands
-are of the ELM327 data sheet (Elm Electronics, ELM327DSJ): ATSH and ATCP set the id, ATCRA what is
-received, ATFC.. the flow control, ATCEA the first byte of extended addressing.
+The adapter generates flow control (ISO 15765-2). Only the given requests, which only read
+(`request.READ_SERVICES`), are sent; between requests the adapter monitors broadcast ids. AT
+commands follow the ELM327 data sheet (Elm Electronics, ELM327DSJ): ATSH and ATCP set the id, ATCRA
+the filter, ATFC.. the flow control, ATCEA the first byte of extended addressing.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from evpinn_ros.can.read_only import FLOW_CONTROL, frames_of
 from evpinn_ros.can.request import Address, RequestRule
 
 NAME = "elm327"
-BAUD_RATES = (38400, 115200, 9600, 500000)  # of a cable, most usual first; radio takes any
-PROTOCOLS = {500_000: ("6", "7"), 250_000: ("8", "9")}  # of ATSP, with ids of 11 and 29 bits
-PAUSE_S = 0.02  # that one look at the port may take
-WAKE_S, RESET_S, ANSWER_S = 0.5, 3.0, 2.0  # that the adapter may take to speak
-MOST_BYTES = 4096  # without an end of line; 8 bytes of data make 40
+BAUD_RATES = (38400, 115200, 9600, 500000)  # of a cable, most common first; any for radio
+PROTOCOLS = {500_000: ("6", "7"), 250_000: ("8", "9")}  # of ATSP, for 11 and 29 bit ids
+PAUSE_S = 0.02  # longest wait of one read of the port
+WAKE_S, RESET_S, ANSWER_S = 0.5, 3.0, 2.0  # timeouts of the adapter's replies
+MOST_BYTES = 4096  # without a line end; a frame of 8 bytes takes 40
 BANNER = re.compile(rb"ELM327|OBDLink|STN\d", re.IGNORECASE)
 FRAME = re.compile(r"(?:[0-9A-F]{3}|[0-9A-F]{8})(?:[0-9A-F]{2}){0,8}")
 SILENT = {"", "OK", "?", "NO DATA", "STOPPED", "BUFFER FULL", "SEARCHING..."}
-"""Replies of the adapter that are no frame: "?" to a command that it does not know."""
+"""Replies of the adapter that are no frames; "?" answers an unknown command."""
 FAULTS = ("ERROR", "UNABLE TO CONNECT", "BUS BUSY", "FB ", "<")
-"""Replies about a bus that it cannot read; the end of a line that is damaged, after "<"."""
+"""Replies for a bus that the adapter cannot read; "<" begins the mark of a damaged line."""
 
 START = ("ATE0", "ATL0", "ATS0", "ATH1", "ATCAF1", "ATCFC1", "ATAT1", "ATCSM1")
 NEEDED = frozenset(("ATE0", "ATH1", "ATCAF1"))
-"""Without these nothing can be read; what a clone does not know of the others has its default."""
+"""Commands that are required; a clone that lacks one of the others keeps its default."""
 
 
 class Elm327Bus(can.BusABC):  # type: ignore[misc]
-    """One adapter; `recv` and `send` as python-can has them, for one thread that receives."""
+    """One adapter; `recv` and `send` as in python-can, for one receiving thread."""
 
     def __init__(
         self,
@@ -55,8 +55,8 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
     ) -> None:
         """Find the adapter (a port, or `tcp:HOST:PORT`) and prepare it, unless `stopped`.
 
-        `broadcast`: ids to monitor between questions, None for all; `clock_s` stamps the frames.
-        OSError, can.CanInitializationError, ValueError: there is no adapter, or none that can.
+        `broadcast`: ids to monitor between requests, None for all; `clock_s` stamps the frames.
+        OSError, can.CanInitializationError, ValueError: no adapter, or an unsuitable one.
         """
         if bitrate not in PROTOCOLS:
             raise ValueError(f"an ELM327 takes a bitrate of 500000 or 250000, not {bitrate}")
@@ -70,15 +70,15 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         self._commands: deque[str] = deque()
         self._lines: deque[tuple[float, str]] = deque()
         self._rest, self._last = b"", ""
-        self._settings = {"ATCEA": "", "ATFCSM": "0"}  # commands that the adapter has
+        self._settings = {"ATCEA": "", "ATFCSM": "0"}  # settings that the adapter has now
         self._monitoring = self._extended = False
-        self._deadline_s: float | None = None  # while the adapter's prompt is awaited
+        self._deadline_s: float | None = None  # while waiting for the adapter's prompt
         self._port = self._find(channel, tty_baudrate)
         self._prepare()
         super().__init__(channel)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Ask one of the requests when the adapter is free, once; PermissionError for others."""
+        """Queue a known request, once, until the adapter is free; PermissionError for others."""
         key = msg.arbitration_id, msg.is_extended_id, bytes(msg.data)
         if key in self._flow_controls:
             return
@@ -100,7 +100,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
                 return None, True
 
     def shutdown(self) -> None:
-        """Stop monitoring, and close the port."""
+        """Stop monitoring and close the port."""
         super().shutdown()
         try:
             if self._monitoring:
@@ -111,7 +111,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
     # Lines ---------------------------------------------------------------------------------------
 
     def _listen(self, seconds: float) -> None:
-        """Take what comes within a time; a prompt frees the adapter for the next command."""
+        """Read for some seconds; a prompt frees the adapter for the next command."""
         self._port.timeout = seconds
         got = self._port.read(max(1, getattr(self._port, "in_waiting", 0)))
         now_s = self._clock_s()
@@ -125,9 +125,9 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             raise ValueError("a line without an end")
 
     def _read(self, now_s: float, text: str) -> can.Message | None:
-        """The frame of a line or None; ValueError if damaged, CanOperationError after a reset."""
+        """The frame in a line or None; ValueError if damaged, CanOperationError after a reset."""
         word = text.replace(" ", "")
-        if text in SILENT or word == self._last:  # or the echo of what was sent
+        if text in SILENT or word == self._last:  # or the echo of our last command
             return None
         if BANNER.search(text.encode()):
             raise can.CanOperationError("the adapter began anew: is its supply loose?")
@@ -146,14 +146,14 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
     # Commands to it ----------------------------------------------------------------------------
 
     def _go_on(self) -> None:
-        """Say the next thing, if it is the adapter's turn to listen."""
+        """Send the next command if the adapter is ready for it."""
         if self._monitoring and self._deadline_s is None:
-            self._monitoring = False  # it stopped by itself: its buffer is full
+            self._monitoring = False  # the adapter stopped by itself: its buffer is full
         if self._monitoring:
             if self._questions:
                 self._monitoring = False
-                # Any character ends it and brings the prompt. A space is none to an adapter that
-                # stopped by itself just now, where a line's end would begin the last command anew.
+                # Any character stops monitoring and brings the prompt. If the adapter just stopped
+                # by itself, it ignores a space, whereas a line end would repeat the last command.
                 self._port.write(b" ")
                 self._deadline_s = time.monotonic() + ANSWER_S
             return
@@ -167,7 +167,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             self._say(self._commands.popleft())
 
     def _plan(self) -> None:
-        """The commands of the next question; where there is none, to monitor."""
+        """Queue the commands of the next request, or those to monitor if there is none."""
         if self._questions:
             request = self._questions.popleft()
             self._commands.extend(self._changed(self._turn_to(request.address)))
@@ -177,7 +177,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             self._commands.append("ATMA")
 
     def _turn_to(self, address: Address) -> Iterator[tuple[str, str]]:
-        """Commands to ask one control unit, and to receive it alone."""
+        """Commands that direct requests to one control unit, and receive it alone."""
         yield "ATSP", self._long if address.extended else self._short
         width = 8 if address.extended else 3
         request = f"{address.tx_id:0{width}X}"
@@ -195,7 +195,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             yield "ATFCSM", "1"
 
     def _to_monitor(self) -> Iterator[tuple[str, str]]:
-        """Filter to monitor by: the bits that all ids have in common."""
+        """Commands that filter by the bits that all monitored ids share."""
         ids = [can_id for can_id in self._broadcast or () if can_id <= LAST_11_BIT_ID]
         yield "ATSP", self._short
         yield "ATCRA", ""
@@ -205,11 +205,11 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             yield "ATCM", f"{LAST_11_BIT_ID & ~differ:03X}"
 
     def _changed(self, wanted: Iterable[tuple[str, str]]) -> Iterator[str]:
-        """The commands whose value the adapter does not have: each takes a radio link 50 ms."""
+        """Commands that change a setting: each takes 50 ms over a radio link."""
         for command, value in wanted:
             if self._settings.get(command) == value:
                 continue
-            if command == "ATCRA":  # is filter and mask at once
+            if command == "ATCRA":  # sets filter and mask
                 self._settings.update(ATCF="", ATCM="")
             self._settings[command] = value
             yield command + value
@@ -232,7 +232,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         reply = b""
         for rate in (baud_rate,) if baud_rate else BAUD_RATES[: 1 if network else None]:
             port = serial.serial_for_url(url, baudrate=rate, timeout=PAUSE_S, write_timeout=1.0)
-            port.write(b"\r")  # ends whatever it was doing
+            port.write(b"\r")  # ends any pending command
             self._until_prompt(port, WAKE_S)
             port.write(b"ATZ\r")
             reply = self._until_prompt(port, RESET_S)

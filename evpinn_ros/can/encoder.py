@@ -1,4 +1,4 @@
-"""From readings to frames: the inverse of the decoder, for simulated drives and tests."""
+"""Encodes readings as frames: the inverse of the decoder, for simulated drives and tests."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from evpinn_ros.core.signals.readings import BatteryReading, MotorReading, Speed
 
 
 class Encoder:
-    """Writes the frames of a car with this profile, counters and checksums included.
+    """Encodes the frames of a car with this profile, with counters and checksums.
 
-    Methods raise ValueError for a quantity or a value that it cannot show.
+    Methods raise ValueError for a quantity or a value that the profile cannot encode.
     """
 
     def __init__(self, profile: CanProfile) -> None:
@@ -34,7 +34,7 @@ class Encoder:
         return self._frame("state_of_charge", reading.stamp_ns, [reading.state_of_charge])
 
     def motor(self, reading: MotorReading) -> list[CanFrame]:
-        """The frame with torque and speed, after that of a second motor, which then rests."""
+        """The frame with torque and speed, after one of a second motor with zero torque."""
         stamp_ns, rules = reading.stamp_ns, self._profile.messages
         frames = []
         if "second_motor" in rules and rules["second_motor"].signals:

@@ -1,9 +1,9 @@
 """Fit of a profile to the traffic of a bus, and contradictions between the two.
 
-Frames that say something new are *good* when length, checksum, counter and range hold and the
-value did not jump, else *bad*; score = mean over the messages of good / (good + bad). Motors are
-left out, as not every car sends torque. A message that never came counts 0, one without a value
-0.5. A profile is *proven* when checksums of its own hold: by chance one in 256 does.
+A frame with new data is *good* if length, checksum, counter and range are valid and the value did
+not jump, else *bad*; score = mean over messages of good / (good + bad). Motors are left out, as
+not every car sends torque. A missing message counts 0, one without values 0.5. A profile is
+*proven* if checksums of its own are valid: by chance one in 256 is.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ JUMPS: Mapping[str, tuple[float, float]] = {
     "speed": (1.0, 15.0),
     **dict.fromkeys(("battery", "voltage"), (40.0, 100.0)),
 }
-"""Largest plausible change of a quantity's first signal: at once, and in a second more. No tyre
-holds 15 m/s^2; 500 A through 0.1 ohm move 50 V."""
-SHORTEST_NS = NANOSECONDS // 10  # stamps of frames that came in one burst are not to be trusted
+"""Largest plausible change of a quantity's first signal: at once, and per second more. No tyre
+allows 15 m/s^2; 500 A through 0.1 ohm are 50 V."""
+SHORTEST_NS = NANOSECONDS // 10  # stamps of frames from one burst are unreliable
 
-ENOUGH = 5  # frames before a message can count as failed, or to have come right
-RIGHT = 0.9  # share of good frames that makes a message that failed plausible again
-NEARLY_ALL = 0.99  # share that is called all
-ENOUGH_PROOF = 2  # checksums that hold
-MARGIN = 0.1  # of the score by which another profile is better
-HOLDS = 0.5  # mean share of the received messages from which on a profile is worth naming
+ENOUGH = 5  # frames before a message can fail or recover
+RIGHT = 0.9  # share of good frames at which a failed message is plausible again
+NEARLY_ALL = 0.99  # share that counts as all
+ENOUGH_PROOF = 2  # valid checksums
+MARGIN = 0.1  # by which the score of a better profile exceeds this one's
+HOLDS = 0.5  # mean share of the received messages at which a profile is worth naming
 
 
 @dataclass(slots=True)
 class MessageFit:
-    """Fit of the frames of one message, counted as they come."""
+    """Fit of the frames of one message, counted as they arrive."""
 
-    quantity: str  # of the profile, a key of its `messages`
+    quantity: str  # key of the profile's `messages`
     can_id: int  # of the message
-    has_checksum: bool = False  # whether the profile knows the rule of the message's checksum
-    frames: int = 0  # all that came
-    good: int = 0  # frames that hold
-    # frames that do not, by reason: those of `Decoder`, and `jumped`
+    has_checksum: bool = False  # True if the checksum rule is known
+    frames: int = 0  # frames received
+    good: int = 0  # valid frames
+    # invalid frames by reason: those of `Decoder`, and `jumped`
     bad: Counter[str] = field(default_factory=Counter)
-    _data: bytes = b""  # of the newest frame that says something
+    _data: bytes = b""  # of the newest frame with new data
     _value: float | None = None
     _stamp_ns: int = 0
 
     def add_good(self, frame: CanFrame, value: float) -> None:
-        """Take a frame that gave a value, that of the quantity's first signal, SI."""
+        """Take a frame with a valid value of the quantity's first signal, SI."""
         self.frames += 1
         if frame.data == self._data and self.good:
             return
@@ -63,7 +63,7 @@ class MessageFit:
         self._data, self._value, self._stamp_ns = frame.data, value, frame.stamp_ns
 
     def add_bad(self, frame: CanFrame, reason: str) -> None:
-        """Take a frame that was dropped."""
+        """Take a frame that the decoder refused."""
         self.frames += 1
         if reason == SILENT_ON_FIT or (frame.data == self._data and self.bad):
             return
@@ -71,7 +71,7 @@ class MessageFit:
         self._data = frame.data
 
     def restart(self) -> None:
-        """Forget the counts, not the last value and payload."""
+        """Reset the counts, but keep the last value and payload."""
         self.frames = self.good = 0
         self.bad.clear()
 
@@ -85,17 +85,17 @@ class MessageFit:
 
     @property
     def fails(self) -> bool:
-        """Most frames do not hold."""
+        """True if most frames are bad."""
         return self.bad.total() >= ENOUGH and self.share < 0.5
 
     @property
     def came_right(self) -> bool:
-        """Nearly all frames hold."""
+        """True if nearly all frames are good."""
         return self.good >= ENOUGH and self.share >= RIGHT
 
     @property
     def proven(self) -> bool:
-        """The checksum holds, too often for chance."""
+        """True if the checksum is valid, too often for chance."""
         return self.has_checksum and self.good >= ENOUGH_PROOF and not self.fails
 
     def __str__(self) -> str:
@@ -112,7 +112,7 @@ class MessageFit:
 
     def _jumped(self, stamp_ns: int, value: float) -> bool:
         elapsed_ns = stamp_ns - self._stamp_ns
-        if self._value is None or elapsed_ns < 0:  # time went back, as when a log starts over
+        if self._value is None or elapsed_ns < 0:  # time went back, as when a log restarts
             return False
         step, rate = JUMPS.get(self.quantity, (math.inf, 0.0))
         seconds = max(elapsed_ns, SHORTEST_NS) / NANOSECONDS
@@ -120,7 +120,7 @@ class MessageFit:
 
 
 class ProfileFit:
-    """Fit of one profile by the frames so far, which its decoder counts."""
+    """Fit of one profile to the frames so far, counted by its decoder."""
 
     def __init__(self, profile: CanProfile) -> None:
         self.profile, self.name = profile.key, profile.name
@@ -128,10 +128,10 @@ class ProfileFit:
             MessageFit(quantity, rule.key[0], rule.checksum is not None)
             for quantity, rule in profile.messages.items()
             if quantity not in MOTORS
-        ]  # of the profile, by quantity; none when it only asks, so that listening cannot tell
+        ]  # by quantity; none if the profile only asks, so that listening cannot judge it
 
     def restart(self) -> None:
-        """Forget the counts, not the last values and payloads."""
+        """Reset the counts, but keep the last values and payloads."""
         for message in self.messages:
             message.restart()
 
@@ -152,12 +152,12 @@ class ProfileFit:
 
     @property
     def proven(self) -> bool:
-        """The checksum of one message holds."""
+        """True if the checksum of a message is valid, too often for chance."""
         return any(message.proven for message in self.messages)
 
     @property
     def order(self) -> tuple[float, ...]:
-        """To sort by, best last: score, then proof, then how much of the traffic it explains."""
+        """Sort key, best last: score, then proof, then share of the traffic that it explains."""
         good = sum(message.good for message in self.messages)
         return self.score, float(self.proven), len(self.messages) if good else 0, good
 
@@ -170,13 +170,13 @@ def _mean(shares: Sequence[float]) -> float:
 class Contradiction:
     """Reason why a profile cannot be the right one."""
 
-    wrong: frozenset[str]  # quantities of the messages that speak against it
-    why: str  # the same in words
-    better: str | None  # key of a profile that fits better, None when none does
+    wrong: frozenset[str]  # quantities of the messages that contradict it
+    why: str  # the reason in words
+    better: str | None  # key of a profile that fits better, or None
 
 
 def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
-    """Best first; profiles of one score in the order of their names."""
+    """Fits, best first; fits of equal score in the order of their names."""
     by_name = sorted(fits, key=lambda fit: fit.profile)
     return sorted(by_name, key=lambda fit: fit.order, reverse=True)
 
@@ -184,8 +184,8 @@ def ranked(fits: Iterable[ProfileFit]) -> list[ProfileFit]:
 def contradiction(checked: ProfileFit, others: Sequence[ProfileFit]) -> Contradiction | None:
     """Contradiction between the traffic and a profile, or None.
 
-    Contradicted is one whose message fails, unless its checksums prove it and no other profile
-    explains the traffic better; and one whose checksums never came while another shows its own.
+    A profile is contradicted if a message fails, unless its checksums prove it and no other
+    profile explains the traffic better; or if its checksums are never valid but another's are.
     """
     holding = sorted((other for other in others if other.holds), key=lambda fit: fit.order)
     better = [other for other in holding if other.score >= checked.score + MARGIN]

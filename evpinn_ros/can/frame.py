@@ -9,31 +9,31 @@ from typing import Any, TypeAlias
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MOST_IDS = 4096
-"""Ids of a bus that are followed: twice what 11 bits can tell. Garbage of 29 bits has millions."""
+"""Ids of a bus that are followed: twice the 11-bit ids. Garbage of 29 bits has millions."""
 
 BusId = tuple[int, bool]
 """An id, and whether it has 29 bits."""
 
-RECENT = 3  # frames of an id with which another bus is compared
-JUDGED = 100  # frames of an id on another bus that tell
-LEAST_SHARED = 2  # ids with other data that tell two cars
+RECENT = 3  # frames of an id that are compared with another bus
+JUDGED = 100  # frames of an id on another bus, enough to compare
+LEAST_SHARED = 2  # ids with different data that mean two cars
 
 EPOCH_S = 1e9
-"""Times above this count from 1970, times below it from the start of a log or an adapter."""
+"""Times above this count from 1970; smaller ones from the start of a log or an adapter."""
 
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """A data frame of classical CAN or CAN FD, and the moment it was seen."""
+    """A data frame of classical CAN or CAN FD, with its time of arrival."""
 
-    stamp_ns: int  # when it was received, ns
+    stamp_ns: int  # when it was received
     can_id: int  # identifier, 11 bits, or 29 when `extended`
     data: bytes  # 0 to 64 bytes
     extended: bool = False  # whether the identifier has 29 bits
 
     @property
     def key(self) -> BusId:
-        """The identifier, and whether it has 29 bits."""
+        """The identifier, and True if it has 29 bits."""
         return self.can_id, self.extended
 
     @classmethod
@@ -44,7 +44,7 @@ class CanFrame:
 
     @classmethod
     def of_ros(cls, message: Any, arrived_ns: int) -> CanFrame:
-        """The data frame in a `can_msgs/Frame`; one without a stamp has that of its arrival."""
+        """The data frame in a `can_msgs/Frame`, stamped at its arrival if it has no stamp."""
         stamp = message.header.stamp
         return cls(
             stamp.sec * NANOSECONDS + stamp.nanosec or arrived_ns,
@@ -55,22 +55,22 @@ class CanFrame:
 
 
 RawFrames: TypeAlias = deque[tuple[int, CanFrame]]
-"""Frames on their way from a bridge to a recorder, with their arrival, ns."""
+"""Frames queued from a bridge to a recorder, with their arrival, ns."""
 
 
 class FirstBus:
-    """Takes each id from the bus of a recording that showed it first, as ids differ by bus."""
+    """Takes each id from the first bus of a recording that sent it, as ids differ by bus."""
 
     def __init__(self, only: str | None = None) -> None:
         self._only = only
         self._buses: dict[BusId, Any] = {}
-        self._data: dict[BusId, deque[bytes]] = {}  # the last of ids that other buses have as well
-        self._others: dict[BusId, list[int]] = {}  # frames on another bus, and those of other data
-        self._seen: Counter[Any] = Counter()  # ids by the bus that showed them first
-        self.cars = ""  # what tells two cars, if there are two
+        self._data: dict[BusId, deque[bytes]] = {}  # newest data of ids that other buses have too
+        self._others: dict[BusId, list[int]] = {}  # frames on another bus; those with other data
+        self._seen: Counter[Any] = Counter()  # ids first sent by each bus
+        self.cars = ""  # evidence of two cars, else empty
 
     def takes(self, key: BusId, bus: Any, data: bytes = b"") -> bool:
-        """True if a frame of this bus is to be read; all beyond `MOST_IDS` ids are."""
+        """True if a frame of this bus is to be read; ids beyond `MOST_IDS` always are."""
         if self._only is not None:
             self._seen[bus] += 1
             return str(bus) == self._only
@@ -87,13 +87,13 @@ class FirstBus:
 
     @property
     def missing(self) -> str:
-        """That there is no bus of the name that was asked for; empty where there is one."""
+        """Message if the requested bus does not exist, else empty."""
         if self._only is None or self._only in map(str, self._seen):
             return ""
         return f"no frame of the bus {self._only!r}; there are {', '.join(map(str, self._seen))}"
 
     def _compare(self, key: BusId, first: Any, bus: Any, data: bytes) -> None:
-        """Judge whether another bus with an id repeats what the first one says."""
+        """Check whether another bus with the same id repeats the data of the first."""
         counts = self._others.setdefault(key, [0, 0])
         recent = self._data.setdefault(key, deque(maxlen=RECENT))
         counts[0] += bool(recent)
@@ -110,7 +110,7 @@ class FirstBus:
 
 
 def nanoseconds(seconds: float) -> int:
-    """A time, s, in ns; an epoch's float is 240 ns coarse, so it is rounded to the us."""
+    """A time, s, in ns, rounded to 1 us: floats of epoch seconds resolve only 240 ns."""
     if abs(seconds) > EPOCH_S:
         return round(seconds * 1e6) * 1000
     return round(seconds * 1e9)

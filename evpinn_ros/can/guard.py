@@ -1,9 +1,8 @@
-"""Lets no reading out whose profile the traffic contradicts.
+"""Holds readings back while the traffic contradicts their profile.
 
-Readings are held until the frames speak for the profile: at once when each speed and battery
-message held, with a checksum; else after `DECIDE_NS`, or `DECIDE_LAST_NS` while some hold and
-others do not. Then each second is judged anew; a refused profile resumes after ten seconds without
-contradiction.
+Readings are held until the frames confirm the profile: at once if every speed and battery message
+is valid, with a checksum; else after `DECIDE_NS`, or `DECIDE_LAST_NS` if only some are valid.
+Then each second is judged anew; a refused profile resumes after ten seconds without contradiction.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ DECIDE_LAST_NS = 5 * NANOSECONDS
 DECIDE_PATIENTLY_NS = 10 * NANOSECONDS
 REVIEW_NS = NANOSECONDS
 RESUME_NS = 10 * NANOSECONDS
-REVIEW_FRAMES = 10  # of the profile; with fewer a review waits
-# Without them a profile has nothing to let out:
+REVIEW_FRAMES = 10  # frames of the profile; with fewer a review is postponed
+# Without these messages a profile has no readings to release:
 LEADING = ("speed", "battery", "voltage", "current")
-MOST_HELD = 10_000  # readings, should all frames bear one stamp
+MOST_HELD = 10_000  # readings, in case all frames have one stamp
 
 
 class ProfileVerdict(Enum):
@@ -39,14 +38,14 @@ class ProfileVerdict(Enum):
 
 
 class FitGuard:
-    """Stands behind the decoder of one bus."""
+    """Filters the readings of one bus's decoder."""
 
     def __init__(
         self, profile: CanProfile, others: Iterable[CanProfile], *, patient: bool = False
     ) -> None:
-        """Guard a profile; `patient` always weighs ten seconds first."""
-        self.fit = ProfileFit(profile)  # counted by the decoder of the guarded profile
-        self.verdict = ProfileVerdict.UNDECIDED  # now
+        """Guard a profile; a `patient` guard always waits ten seconds first."""
+        self.fit = ProfileFit(profile)  # counted by the decoder of this profile
+        self.verdict = ProfileVerdict.UNDECIDED  # current verdict
         self.contradiction: Contradiction | None = None  # why readings are refused
         self.dropped: Counter[str] = Counter()  # readings: `undecided`, `contradicted`
         self._patient = patient
@@ -61,7 +60,7 @@ class FitGuard:
                 self._compare_with(other)
 
     def pass_on(self, frame: CanFrame, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """Readings to publish now that a frame, with these readings in it, was decoded."""
+        """Readings to publish after a frame with these readings was decoded."""
         if self._comparing:
             for decoder in self._decoders.get(frame.key, ()):
                 decoder.decode(frame)
@@ -76,23 +75,23 @@ class FitGuard:
         return self.pass_answer(readings)
 
     def pass_answer(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """Readings of an answer to publish: it echoes the question, so it is not weighed."""
+        """Readings of an answer to publish: an answer echoes its request, so it proves nothing."""
         if self.verdict is ProfileVerdict.REFUSED:
             self.dropped["contradicted"] += len(readings)
             return ()
         return readings
 
     def finish(self) -> tuple[Reading, ...]:
-        """At the end of the frames: decide about what is still held."""
+        """Decide about the readings still held at the end of the frames."""
         return self._decide() if self.verdict is ProfileVerdict.UNDECIDED else ()
 
     def advice(self) -> str | None:
-        """Key of the other profile that fits the traffic best, None when none does."""
+        """Key of the other profile that fits the traffic best; None if none fits."""
         return next((fit.profile for fit in ranked(self._others) if fit.holds), None)
 
     @property
     def held(self) -> int:
-        """Readings that wait for the decision."""
+        """Number of readings that wait for the decision."""
         return len(self._held)
 
     def _compare_with(self, other: CanProfile) -> None:
@@ -113,7 +112,7 @@ class FitGuard:
             self._period_ns += DECIDE_NS
             return ()
         released = self._decide()
-        if self.verdict is ProfileVerdict.UNDECIDED:  # nothing to let out yet: go on gathering
+        if self.verdict is ProfileVerdict.UNDECIDED:  # nothing to release yet: keep gathering
             self._begin_ns = frame.stamp_ns
         else:
             self._begin(frame)
@@ -154,7 +153,7 @@ class FitGuard:
             wrong = self.contradiction.wrong
             if all(message.came_right for message in messages if message.quantity in wrong):
                 self._trust()
-        # Others are decoded only where they could tell: that costs as much as our own profile.
+        # Others are decoded only if they can change the verdict: each costs as much as ours.
         spotless = self.fit.proven and not any(message.bad for message in messages)
         self._comparing = self.verdict is ProfileVerdict.REFUSED or not spotless
         self._begin(frame)

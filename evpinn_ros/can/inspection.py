@@ -23,21 +23,21 @@ from evpinn_ros.core.signals.readings import (
 
 NO_ANSWER = "no_answer"
 STANDARD_BITS, EXTENDED_BITS = 34, 54
-"""Bits of a data frame before its data and of its checksum, which stuffing applies to."""
-FIXED_BITS = 13  # delimiters, acknowledgement, end of frame and the pause after it: never stuffed
-STUFF_EVERY = 4  # bits, at worst
+"""Bits of a data frame, except data, to which stuffing applies: header and checksum."""
+FIXED_BITS = 13  # delimiters, acknowledgement, end of frame and interframe space: never stuffed
+STUFF_EVERY = 4  # bits per stuff bit, at worst
 
 
 @dataclass(slots=True)
 class IdStatus:
-    """The traffic of one id: mean and variance of its intervals are followed (Welford)."""
+    """The traffic of one id, with running mean and variance of its intervals (Welford)."""
 
     can_id: int  # the id
-    extended: bool  # whether it has 29 bits
+    extended: bool  # True if it has 29 bits
     count: int = 0  # frames
     lengths: Counter[int] = field(default_factory=Counter)  # frames by bytes of data
     last_ns: int = 0  # when the newest frame was received
-    age: float = math.nan  # from that one to the end, s; known once it is reported
+    age: float = math.nan  # time from the newest frame to the end, s; set by the report
     _mean: float = 0.0
     _squares: float = 0.0
 
@@ -54,12 +54,12 @@ class IdStatus:
 
     @property
     def period(self) -> float:
-        """Mean time from one to the next, s, NaN for a single one."""
+        """Mean interval between frames, s; NaN for a single one."""
         return self._mean if self.count > 1 else math.nan
 
     @property
     def jitter(self) -> float:
-        """Standard deviation of that time, s, NaN for fewer than three frames."""
+        """Standard deviation of the interval, s; NaN for fewer than three frames."""
         return math.sqrt(self._squares / (self.count - 2)) if self.count > 2 else math.nan
 
     @property
@@ -70,7 +70,7 @@ class IdStatus:
 
 @dataclass(slots=True)
 class ValueStatus:
-    """The values of one signal: how many, and the newest, smallest and largest of them."""
+    """The values of one signal: count, newest, smallest and largest."""
 
     count: int = 0
     newest: float = math.nan
@@ -84,15 +84,15 @@ class ValueStatus:
 
 
 class ProfileReport:
-    """Report of one profile, which decodes the whole bus, on the traffic."""
+    """Report on one profile, which decodes the whole bus."""
 
     def __init__(self, profile: CanProfile) -> None:
-        self.fit = ProfileFit(profile)  # how well it fits
+        self.fit = ProfileFit(profile)  # fit to the traffic
         self._profile = profile
-        self.contradicted: str | None = None  # why it cannot be the right one
-        # `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, where they came
+        self.contradicted: str | None = None  # why the profile is not that of the car
+        # `speed` m/s, `voltage` V, `current` A, `state_of_charge` 0..1, of those received
         self.values: defaultdict[str, ValueStatus] = defaultdict(ValueStatus)
-        self.asks = bool(profile.asked)  # here only answers to others are seen
+        self.asks = bool(profile.asked)  # only answers to other testers are seen here
         self.experimental = profile.experimental  # never the best: its sources disagree
         self._keys = {rule.key for rule in profile.messages.values()}
         self._decoder, self._poller = Decoder(profile, self.fit), Poller(profile)
@@ -121,7 +121,7 @@ class ProfileReport:
 
     @property
     def quantities(self) -> dict[int, list[str]]:
-        """What is read from each id, a motor too, which says nothing about the fit."""
+        """Quantities read from each id, with the motor, which does not count for the fit."""
         read = {rule.key[0]: [name] for name, rule in self._profile.messages.items()}
         for message, (unit, *_) in self._asked:
             read.setdefault(unit, []).append(message.quantity)
@@ -129,7 +129,7 @@ class ProfileReport:
 
     @property
     def dropped(self) -> Counter[str]:
-        """Values not used, by reason."""
+        """Number of unused values by reason."""
         return self._decoder.dropped + self._poller.dropped
 
     @property
@@ -139,11 +139,11 @@ class ProfileReport:
 
     @property
     def sign_decided(self) -> bool:
-        """True if the car pulled away, braked or charged enough to judge that."""
+        """True if the car pulled away, braked or charged enough to judge the sign."""
         return self._sign.decided
 
     def count_answers(self) -> None:
-        """Update the fit of what is asked for; foreign answers speak of another car."""
+        """Update the fit of requested quantities; answers of foreign ids suggest another car."""
         for message, unit in self._asked:
             name = "voltage" if message.quantity == "battery" else message.quantity
             message.frames = self._answers[unit]
@@ -157,17 +157,17 @@ class BusReport:
     """Report of a bus's contents."""
 
     duration: float  # from the first frame to the end, s
-    frames: int  # all of them
+    frames: int  # total number
     uncounted: int  # frames of ids beyond `MOST_IDS`
-    # share of the bit rate that the frames take, 0..1, without stuffing bits and with the most of
-    # them; NaN when no time passed
+    # share of the bit rate that the frames take, 0..1, without and with most stuff bits; NaN if
+    # no time passed
     load: tuple[float, float]
-    ids: tuple[IdStatus, ...]  # in order
+    ids: tuple[IdStatus, ...]  # in order of id
     profiles: tuple[ProfileReport, ...]  # best first
 
     @property
     def best(self) -> ProfileReport | None:
-        """The profile that fits; None when none does."""
+        """The profile that fits; None if none does."""
         first = next((profile for profile in self.profiles if not profile.experimental), None)
         fits = first is not None and first.fit.holds and first.contradicted is None
         return first if fits else None
@@ -202,7 +202,7 @@ class Inspection:
             profile.add_frame(frame)
 
     def report(self, end_ns: int | None = None) -> BusReport:
-        """Findings so far; ages count to `end_ns`, or to the newest frame."""
+        """Findings so far; ages count up to `end_ns`, or to the newest frame."""
         end_ns = self._last_ns if end_ns is None else end_ns
         first_ns = end_ns if self._first_ns is None else self._first_ns
         duration = (end_ns - first_ns) / NANOSECONDS
@@ -227,7 +227,7 @@ class Inspection:
 
 
 def frame_bits(length: int, extended: bool) -> tuple[int, int]:
-    """Bits of a classic CAN data frame, without stuffing and with the most.
+    """Bits of a classic CAN data frame, without and with the most stuff bits.
 
     Davis, Burns, Bril, Lukkien, Real-Time Systems 35, 2007, eq. 1.
     """

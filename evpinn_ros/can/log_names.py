@@ -1,4 +1,4 @@
-"""Names and headers by which a CAN log is known: what tells files apart need not read them."""
+"""Recognises CAN logs by name and header, without importing their readers."""
 
 MF4 = ".mf4"
 LOG_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".csv", MF4)

@@ -1,9 +1,9 @@
 """CAN logs: candump .log, Vector .asc and .blf, PEAK .trc, .csv of two kinds; also gzipped.
 
-Damaged .mf4 can crash asammdf (extra `mf4`), and python-can trusts every length that a damaged
-.blf claims: both run apart. SavvyCAN's and GVRET's .csv has a reader of its own, a hexadecimal
-frame a row: `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,...,D8`, in microseconds; version 1 has no
-`Dir`.
+Damaged .mf4 can crash asammdf (extra `mf4`), and python-can trusts every length in a damaged .blf:
+both are read in a process of their own. The .csv of SavvyCAN and GVRET has a reader here, with a
+hexadecimal frame per row: `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,...,D8`, in microseconds; version
+1 has no `Dir`.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from evpinn_ros.common.sandbox import run_apart
 from evpinn_ros.common.writer import new_table, replaced
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
-SAME_MOMENT = 60.0  # s between the date of a log and its first time of day
-# s: a log whose first time is later counts from something else than its date
+SAME_MOMENT = 60.0  # s between a log's date and its first time of day
+# s: if the first time of a log is later, it does not count from the date
 LATEST_FIRST = 3600.0
-EPOCH = 1e6  # s: times above it are not since the line before
-LOOKED_AT = 200  # lines
-GOES_BACK = 0.3  # of the steps between lines
+EPOCH = 1e6  # s: larger times are absolute, not relative to the line before
+LOOKED_AT = 200  # lines that are examined
+GOES_BACK = 0.3  # share of the steps between lines
 
 _DATE = re.compile(
     r"(?:date|begin\s+triggerblock)\s+\w+\.?\s+(\w+)\.?\s+(\d+)\s+"
@@ -65,7 +65,7 @@ def _date(match: re.Match[str]) -> datetime | None:
 
 
 def _base(start: datetime | None, first: float) -> float:
-    """What to add to the times of a log, s; its first time is this."""
+    """Offset of the times of a log, s, given its start and its first time."""
     if start is None:
         return max(0.0, -first)
     midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
@@ -80,27 +80,27 @@ FORMATS = (
 )
 LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242
-END = 64 << 10  # bytes at either end of a log that tell how long it is
+END = 64 << 10  # bytes at each end of a log that show its length
 MICROSECOND = 1e-6
-COUNTER = 2**32  # microseconds after which some adapters count anew
-APART = {MF4: "convert_mf4", ".blf": "convert_blf"}  # functions that another process runs
-NO_FRAME = 1 << 30  # no id, so it is counted where the converted log is read
+COUNTER = 2**32  # microseconds after which counters of some adapters wrap
+APART = {MF4: "convert_mf4", ".blf": "convert_blf"}  # functions that run in another process
+NO_FRAME = 1 << 30  # no valid id, so it is counted when the converted log is read
 
-# They would show lines of a damaged log on the terminal, unchanged and each of them.
+# They would print every line of a damaged log to the terminal.
 logging.getLogger("can.io").setLevel(logging.CRITICAL)
 
 
 class LogFile:
-    """A CAN log on disk, read once by `frames()`; the attributes are complete after that."""
+    """A CAN log, read once by `frames()`; the attributes are complete after that."""
 
     def __init__(self, path: str | Path, channel: str | None = None) -> None:
-        """Find out the format, or InputError; `channel` selects one of several buses."""
+        """Detect the format, or raise InputError; `channel` selects one of several buses."""
         self.path = Path(path)  # of the log
         self.count = 0  # frames read so far
-        # frames not read, by kind: `error_frame`, `remote_frame`, `impossible_frame`, one of a
+        # unread frames by kind: `error_frame`, `remote_frame`, `impossible_frame`, one of a
         # damaged log that no bus can carry, and `other_bus` (see `FirstBus`)
         self.skipped: Counter[str] = Counter()
-        self.problem: str | None = None  # why the end was not reached
+        self.problem: str | None = None  # why reading stopped early
         self._first_bus = FirstBus(channel)
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]
@@ -118,10 +118,10 @@ class LogFile:
 
     @property
     def seconds(self) -> float | None:
-        """Time from the first frame to the last, s, by the ends of the file; or None."""
+        """Time between the frames at both ends of the file, s; None if unknown."""
         if self._gzipped or self._suffix == MF4:
             return None
-        ends = LogFile(self.path)  # which counts what it skips beside what is read of the whole
+        ends = LogFile(self.path)  # so that frames skipped here are not counted twice
         try:
             with open_file(self.path) as file:
                 if self._suffix == ".blf":
@@ -130,15 +130,15 @@ class LogFile:
                 else:
                     lines = _Lines(_ends(file), self._suffix)
                     frames = list(ends._read(lines, self._suffix))
-                    if lines.summed:  # of lines that are not there
+                    if lines.summed:  # sums of intervals need every line
                         return None
                     seconds = (frames[-1].stamp_ns - frames[0].stamp_ns) / NANOSECONDS
-        except Exception:  # foreign code over a damaged file; why, reading it will tell
+        except Exception:  # third-party readers fail in any way; `frames` reports why
             return None
         return seconds if seconds > 0.0 else None
 
     def frames(self) -> Iterator[CanFrame]:
-        """Every data frame up to the end or the first damage; InputError without any."""
+        """Every data frame up to the end or the first damage; InputError if there is none."""
         failed, suffix = None, self._suffix
         with as_input_error(self.path):
             if suffix in APART:
@@ -157,11 +157,11 @@ class LogFile:
     def _until_broken(self, packed: IO[bytes], suffix: str) -> Iterator[CanFrame]:
         with io.TextIOWrapper(packed, encoding="utf-8", errors="replace") as file:
             lines = _Lines(file, suffix)
-            # The readers are foreign code over a damaged file: whatever they raise says the same
-            # thing, that the log ends here. Whoever takes the frames is not inside the try.
+            # Third-party readers raise anything for a damaged file, and it means that the log ends
+            # here. The consumer of the frames runs outside of the try.
             try:
                 yield from self._read(lines, suffix)
-            except InputError:  # two cars
+            except InputError:  # frames of two cars
                 raise
             except Exception as error:
                 place = f"{self.path}:{lines.number}"
@@ -170,11 +170,11 @@ class LogFile:
                     self.problem = f"{place}: {lines.line[:40]!r} is of none of the {FORMATS}"
 
     def _converted(self) -> tuple[IO[bytes], str | None]:
-        """A candump log that another process made of this one, and why it ends early, or None."""
+        """Candump log converted by another process, and why it ends early, or None."""
         with TemporaryDirectory() as folder:
             path = Path(folder) / "converted.log"
             failed = run_apart(f"{__name__}:{APART[self._suffix]}", self.path, path)
-            # Once it is open, it can be read without its name.
+            # An open file stays readable after its folder is deleted.
             return open_file(path) if path.exists() else io.BytesIO(), failed
 
     def _read(self, lines: _Lines, suffix: str) -> Iterator[CanFrame]:
@@ -193,7 +193,7 @@ class LogFile:
                     raise InputError(f"{self.path}: {cars}")
             else:
                 yield CanFrame.of(message, nanoseconds(message.timestamp))
-        # These readers stop where the file stops and are content; gzip notices by itself.
+        # These readers accept a truncated file; gzip detects it by itself.
         if lines.cut_off:
             self.problem = f"{self.path}: cut off after {self.count} frames"
 
@@ -211,7 +211,7 @@ def _ends(file: IO[bytes]) -> io.StringIO:
 
 
 def _is_possible(message: Any) -> bool:
-    """True if id and data fit into a frame; the readers take any number that they find."""
+    """True if id and data fit into a frame; the readers accept any number."""
     last_id = LAST_EXTENDED_ID if message.is_extended_id else LAST_ID
     possible = 0 <= message.arbitration_id <= last_id and len(message.data) <= LONGEST_DATA
     return possible and abs(message.timestamp) < LAST_TIME
@@ -223,21 +223,21 @@ def _csv_reader(lines: _Lines) -> Any:
 
 
 class _Lines:
-    """The whole lines of a text file, .asc and .log with times that run on.
+    """Complete lines of a text file; times of .asc and .log are made continuous.
 
-    A last line without an end was cut, so it is dropped.
+    A last line without a line end is dropped as truncated.
     """
 
     def __init__(self, file: IO[str], suffix: str) -> None:
         self.number, self.cut_off, self.line = 0, False, ""
-        self.summed = False  # times are since the line before
+        self.summed = False  # True if times are relative to the line before
         self.read, self.close = file.read, file.close
         self._readline = partial(file.readline, LONGEST_LINE + 1)
         self._peeked: deque[str] = deque()
         self._timed = {".asc": self._asc, ".log": self._candump}.get(suffix, self._whole)()
 
     def peek(self, count: int) -> list[str]:
-        """The next lines, fewer of long ones, which will come again; empty ones at the end."""
+        """The next lines without consuming them, fewer if long; empty at the end."""
         while len(self._peeked) < count and sum(map(len, self._peeked)) <= LONGEST_LINE:
             self._peeked.append(self._readline())
         return [line.lstrip("\ufeff") for line in self._peeked]
@@ -245,7 +245,7 @@ class _Lines:
     def __iter__(self) -> Iterator[str]:
         return self._timed
 
-    def __next__(self) -> str:  # which python-can takes a header with
+    def __next__(self) -> str:  # python-can reads headers by next()
         return next(self._timed)
 
     def _whole(self) -> Iterator[str]:
@@ -278,7 +278,7 @@ class _Lines:
                 yield f"{base + passed:.9f}{match[2]}"
 
     def _candump(self) -> Iterator[str]:
-        """Lines with times since 1970 or the first."""
+        """Lines with times since 1970 or since the first line."""
         ahead = self.peek(LOOKED_AT)
         stamps = [float(stamp[1]) for line in ahead if (stamp := _STAMP.fullmatch(line))]
         back = sum(later < earlier for earlier, later in pairwise(stamps))
@@ -294,22 +294,22 @@ class _Lines:
 
 
 def convert_mf4(path: Path, out: Path) -> None:
-    """Write the frames of an .mf4 as a candump log, up to where it is broken."""
+    """Write the frames of an .mf4 as a candump log, up to the first damage."""
     with open_file(path) as file:
         _convert(mf4.MF4Reader(file), out)
 
 
 def convert_blf(path: Path, out: Path) -> None:
-    """Write the frames of a .blf as a candump log, up to where it is broken."""
+    """Write the frames of a .blf as a candump log, up to the first damage."""
     with open_unpacked(path) as file:
         reader = can.BLFReader(file)
         _convert(reader, out)
         if path.suffix.lower() != ".gz" and reader.file_size > path.stat().st_size:
-            raise ValueError("cut off")  # which the reader does not notice, as gzip does
+            raise ValueError("cut off")  # the reader does not notice this; gzip does
 
 
 def _convert(messages: Iterable[Any], out: Path) -> None:
-    # By lines: what came before the damage is there when this process is killed.
+    # Line buffered: frames before the damage are kept if this process is killed.
     with (
         new_table(out, by_line=True) as lines,
         can.CanutilsLogWriter(lines) as log,
@@ -333,13 +333,13 @@ def write_log(path: str | Path, frames: Iterable[CanFrame]) -> int:
 def _candump_line(frame: CanFrame) -> str:
     seconds, rest = divmod(round(frame.stamp_ns / 1000), 1_000_000)
     can_id = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
-    # Two marks and a digit of flags tell a CAN FD frame, the only one longer than 8 bytes.
+    # Two marks and a digit of flags denote CAN FD, the only frames longer than 8 bytes.
     mark = "##0" if len(frame.data) > 8 else "#"
     return f"({seconds}.{rest:06d}) can0 {can_id}{mark}{frame.data.hex().upper()}\n"
 
 
 def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
-    """The frames of SavvyCAN's CSV, header first; ValueError for another row."""
+    """The frames of SavvyCAN's CSV with its header; ValueError for an invalid row."""
     reader = csv.reader(lines)
     names = [name.strip("\ufeff ") for name in next(reader)]
     first = names.index("LEN") + 1
@@ -351,7 +351,7 @@ def gvret_messages(lines: Iterable[str]) -> Iterator[can.Message]:
         if len(data) < length:
             raise ValueError(f"{len(data)} of {length} bytes")
         micros = int(cells["Time Stamp"])
-        if before == 0 and micros < 0:  # from an overflow: it tells no date
+        if before == 0 and micros < 0:  # the counter overflowed: the time has no date
             added = -micros
         elif 0 <= micros < before - COUNTER // 2 and before < COUNTER:
             added += COUNTER

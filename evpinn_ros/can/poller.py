@@ -1,4 +1,4 @@
-"""Asks a car politely for what it does not broadcast, by OBD-II, KWP2000 and UDS, or listens."""
+"""Requests values that a car does not broadcast, by OBD-II, KWP2000 and UDS, or listens."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from evpinn_ros.can.restraint import Leave, Restraint
 from evpinn_ros.core.signals.readings import Reading
 
 LISTEN_FIRST_S = 1.0
-"""Time to listen before the first question: whoever else sends on its id is found."""
+"""Time to listen before the first request, to detect other senders on its id."""
 
 ECHO_S = 1.0
-"""Longest delay after which an adapter may show us a frame of our own."""
+"""Longest delay with which an adapter may echo a frame of ours."""
 
 LONGEST_SLEEP_S = 0.2
-"""Longest time that `run` may take to see `stop`, and the end of a rest."""
+"""Longest sleep of `run`, and so its delay to see `stop` or the end of a pause."""
 
 
 @dataclass(frozen=True, slots=True)
 class PollStatus:
     """One look at the poller, for diagnostics."""
 
-    ok: bool  # asking, and nothing was refused for good
+    ok: bool  # requests are sent, and none was refused for good
     text: str  # the state in a few words
-    counters: Mapping[str, int]  # of every control unit together (see `ControlUnit`)
+    counters: Mapping[str, int]  # sums over all control units (see `ControlUnit`)
 
 
 class Poller:
-    """One question at a time to each control unit of a profile; `run` has a thread of its own."""
+    """Sends one request at a time to each control unit of a profile; `run` needs a thread."""
 
     def __init__(
         self,
@@ -45,11 +45,11 @@ class Poller:
         send: Send | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Prepare to ask, or to listen where `send` is None."""
-        # Here: a car that is not asked needs no ISO-TP and UDS.
+        """Prepare to send requests, or only to listen if `send` is None."""
+        # Imported here: without requests neither ISO-TP nor UDS is needed.
         from evpinn_ros.can.control_unit import ControlUnit
 
-        self.contradicted = False  # set where this is another car: nothing is asked
+        self.contradicted = False  # True if the profile is not that of the car: no requests
         self._profile, self._clock = profile, clock
         self._decoder = AnswerDecoder(profile)
         self._restraint = Restraint()
@@ -73,7 +73,7 @@ class Poller:
         self._stopped = threading.Event()
 
     def is_answer(self, frame: CanFrame) -> bool:
-        """True if the frame is (part of) an answer that the profile knows."""
+        """True if the frame is (part of) an answer to a request of the profile."""
         return frame.key in self._units
 
     def decode(self, frame: CanFrame) -> tuple[Reading, ...]:
@@ -90,7 +90,7 @@ class Poller:
             self._observe(readings, now_s)
             if answer is not None and not math.isnan(self._decoder.auxiliary_voltage):
                 self._restraint.auxiliary(self._decoder.auxiliary_voltage, now_s)
-            # The next question goes out at once, so that voltage and current are of one moment.
+            # Send the next request at once, so that voltage and current are of one moment.
             unit.step(now_s, self._may_ask(now_s))
             self._changed.notify()
             return readings
@@ -103,24 +103,24 @@ class Poller:
             self._observe(readings, now_s)
 
     def run(self) -> None:
-        """Ask for each value in its turn, in this thread, until `stop` is called."""
+        """Send each request in its turn, in this thread, until `stop` is called."""
         with self._changed:
             while not self._stopped.is_set():
                 self._changed.wait(min(max(self.step(), 0.0), LONGEST_SLEEP_S))
 
     def step(self) -> float:
-        """Ask what is due now; gives the time until the next question, s."""
+        """Send the requests that are due; returns the time until the next one, s."""
         with self._changed:
             now_s = self._clock()
             may_ask = self._may_ask(now_s)
             return min(unit.step(now_s, may_ask) for unit in self._units.values()) - now_s
 
     def stop(self) -> None:
-        """Make `run` return, within a fifth of a second plus the driver's own time to send."""
+        """Make `run` return, within 0.2 s plus the driver's time to send."""
         self._stopped.set()
 
     def status(self) -> PollStatus:
-        """Status of polling, a reason when it rests, and the counters so far."""
+        """Status of polling, with the reason of a pause, and the counters so far."""
         with self._changed:
             counters: Counter[str] = sum(
                 (unit.counters for unit in self._units.values()), Counter()
@@ -153,7 +153,7 @@ class Poller:
 
     @property
     def dropped(self) -> Counter[str]:
-        """Values not used, by reason (see `AnswerDecoder`)."""
+        """Number of unused values by reason (see `AnswerDecoder`)."""
         return self._decoder.dropped
 
     def _may_ask(self, now_s: float) -> frozenset[str]:
@@ -181,7 +181,7 @@ class Poller:
 
     def _record_traffic(self, frame: CanFrame, now_s: float) -> None:
         sent_s = self._sent_s.get((frame.key, frame.data), -math.inf)
-        if frame.key in self._asked_ids and now_s - sent_s > ECHO_S:  # not ours, as an echo is
+        if frame.key in self._asked_ids and now_s - sent_s > ECHO_S:  # too late for an echo
             self._shared_id = frame.can_id
         if self._restraint.record_frame(frame.can_id, frame.extended, now_s):
             for unit in self._units.values():

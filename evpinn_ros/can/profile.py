@@ -1,7 +1,7 @@
-"""CAN profiles: which signals of a car's bus are the speed, the battery and the motor torque.
+"""CAN profiles: the signals of a car's bus that are its speed, battery and motor torque.
 
-A YAML file in `config/can/`, read strictly. A quantity is a signal of the DBC file or asked for by
-a request (`evpinn_ros.can.request`); signs, limits, "not available" and protection are added.
+A YAML file in `config/can/`, strictly validated. A quantity is a signal of the DBC file, or is
+requested (`evpinn_ros.can.request`); the profile adds signs, limits, "not available", protection.
 """
 
 from __future__ import annotations
@@ -41,32 +41,32 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "motor": {"torque": "torque", "speed": "motor_speed"},
     "second_motor": {"torque": "torque"},
 }
-"""Sections of a quantity that has several signals, and what `UNITS` calls each."""
+"""Sections of a quantity with several signals, and the `UNITS` key of each."""
 BATTERY_PARTS = frozenset(PARTS["battery"])
 OPTIONAL_PARTS = (("motor", "speed"), ("second_motor", "torque"))
 ChecksumRule = Callable[[int, bytes], int]
-"""From the frame's id and its bytes without the checksum byte to that byte."""
+"""Maps a frame's id and its bytes without the checksum byte to the checksum byte."""
 
 
 @dataclass(frozen=True, slots=True)
 class MessageRule:
-    """One message and the signals of a quantity in it."""
+    """One message, with the signals of a quantity in it."""
 
     message: Any  # the `cantools.database.Message`
     # the rules, in the order of the quantity (battery: voltage, current; motor: torque, speed
     # where the message has it; second motor: torque, none when unknown)
     signals: tuple[SignalRule, ...]
-    checksum: ChecksumRule | None  # the function that makes the checksum byte, or None
-    checksum_byte: int  # where that byte is
+    checksum: ChecksumRule | None  # function that computes the checksum byte, or None
+    checksum_byte: int  # index of that byte
     counter: str | None  # name of the signal that counts frames, or None
 
     @property
     def key(self) -> BusId:
-        """The id of the message, and whether it has 29 bits."""
+        """The id of the message, and True if it has 29 bits."""
         return int(self.message.frame_id), bool(self.message.is_extended_frame)
 
     def checksum_of(self, data: bytes) -> int | None:
-        """Checksum byte that a payload has to have; None where no rule is known."""
+        """Expected checksum byte of a payload; None if the rule is unknown."""
         if self.checksum is None:
             return None
         before, after = data[: self.checksum_byte], data[self.checksum_byte + 1 :]
@@ -79,19 +79,19 @@ class CanProfile:
 
     key: str  # short name, the file's stem
     name: str  # name for people
-    source: str  # where the layout was learned
-    verified_by: str  # which recording confirms it
-    # the message of each quantity that the car broadcasts, a subset of `QUANTITIES`; `voltage` and
-    # `current` instead of `battery` where each has a message of its own
+    source: str  # origin of the layout
+    verified_by: str  # recording that confirms it
+    # message of each quantity that the car broadcasts, a subset of `QUANTITIES`; `voltage` and
+    # `current` instead of `battery` if each has a message of its own
     messages: Mapping[str, MessageRule]
-    # where each other quantity lies in the answers to requests, in the order of the quantity
-    # (battery: voltage, current). There is a speed or a battery in one of both
+    # place of each other quantity in the answers to requests, in the order of the quantity
+    # (battery: voltage, current). Broadcast or asked, there is a speed or a battery
     asked: Mapping[str, tuple[AnswerField, ...]]
-    experimental: bool  # the sources disagree; never to be chosen for a user who did not name it
+    experimental: bool  # sources disagree; never chosen unless the user names it
 
     @property
     def quantities(self) -> set[str]:
-        """Those of `QUANTITIES` that the car broadcasts or answers."""
+        """The `QUANTITIES` that the car broadcasts or answers."""
         names = {*self.messages, *self.asked}
         return names - BATTERY_PARTS | {"battery"} if names & BATTERY_PARTS else names
 
@@ -210,7 +210,7 @@ def _refuse_shared_bits(root: Section, messages: Mapping[str, MessageRule]) -> N
         fields = taken.setdefault(rule.message.name, [])
         for name, is_value, place in _fields(rule):
             for other, other_is_value, other_place in fields:
-                # Two quantities of a message may share what protects it.
+                # Two quantities of a message may share its checksum and counter.
                 shared = name == other and not (is_value or other_is_value)
                 if place.overlaps(other_place) and not shared:
                     reason = f"'{name}' and '{other}' overlap in '{rule.message.name}'"

@@ -1,4 +1,4 @@
-"""The one way out to the car: the questions of the profile, to the last bit, and nothing else."""
+"""The only path for frames to the car: it passes exact requests of the profile, nothing else."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from evpinn_ros.can.request import QUESTIONS_PER_S, READ_SERVICES, RequestRule
 
 FRAME_BYTES = 8
 PADDING = b"\0"
-"""Padding of a frame behind its bytes: every control unit takes frames of eight."""
+"""Padding behind the bytes of a frame: every control unit accepts frames of eight bytes."""
 
 FLOW_CONTROL = bytes((0x30, 0x00, 0x00))
-"""Send all the rest, without pauses (ISO 15765-2)."""
+"""Flow control: send all remaining frames without pauses (ISO 15765-2)."""
 
 FRAMES_PER_S = 2 * QUESTIONS_PER_S
-"""Frames that may leave in any second: a question and its flow control. 50 frames are 1.2 % of a
+"""Frames that may be sent in any second: a request and its flow control. 50 frames are 1.2 % of a
 bus of 500 kbit/s."""
 
 FrameKey = tuple[int, bool, bytes]
-"""Id, whether it has 29 bits, and data."""
+"""Id, True if it has 29 bits, and data."""
 
 
 class ReadOnlyGate:
-    """Hands a frame on when it is a question of the profile, whatever made it.
+    """Sends a frame only if it is a request of the profile, whatever produced it.
 
-    One flow control to the same control unit may follow, which a long answer needs; so whoever
-    sends us first frames cannot make us answer each of them.
+    One flow control to the same control unit may follow, as a long answer needs it. So a sender of
+    first frames cannot make us answer each of them.
     """
 
     def __init__(
@@ -38,14 +38,14 @@ class ReadOnlyGate:
         send: Callable[[CanFrame], bool],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Open the gate to questions; PermissionError if one does more than read."""
+        """Allow these requests; PermissionError if one does more than read."""
         self._send, self._clock = send, clock
         self._flow_controls = dict(map(frames_of, requests))
         self._awaited: set[FrameKey] = set()
         self._sent_s: deque[float] = deque(maxlen=FRAMES_PER_S)
 
     def __call__(self, frame: CanFrame) -> bool:
-        """Send the frame and give what `send` does; PermissionError if it is not allowed."""
+        """Send a frame, return the result of `send`; PermissionError if it is not allowed."""
         key = frame.can_id, frame.extended, bytes(frame.data)
         if key not in self._flow_controls and key not in self._awaited:
             raise PermissionError(f"{frame.can_id:X}: {frame.data.hex(' ')} is no request to read")
@@ -60,7 +60,7 @@ class ReadOnlyGate:
 
 
 def frames_of(request: RequestRule) -> tuple[FrameKey, FrameKey]:
-    """The frame that asks, and its flow control; PermissionError if it does more than read."""
+    """Frame of a request, and its flow control; PermissionError if it does more than read."""
     address, payload = request.address, request.payload
     reason = refusal(address.tx_id, address.rx_id, address.target, address.source)
     if reason is None and len(payload) != 1 + READ_SERVICES.get(payload[0], -1):

@@ -1,4 +1,4 @@
-"""Requests that read (`READ_SERVICES`, no other can be asked): whom, what, how often."""
+"""Requests that read (only `READ_SERVICES`): their control unit, payload and period."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from evpinn_ros.can.signal_rule import RULE_KEYS, SignalRule, refuse_impossible,
 from evpinn_ros.common.yaml_section import Section
 
 READ_SERVICES: Mapping[int, int] = {0x01: 1, 0x21: 1, 0x22: 2}
-"""Services that read and change nothing, with the bytes of the identifier that follows: current
-data (OBD-II), ReadDataByLocalIdentifier (KWP2000), ReadDataByIdentifier (UDS)."""
+"""Services that read and change nothing, with the bytes of their identifier: current data
+(OBD-II), ReadDataByLocalIdentifier (KWP2000), ReadDataByIdentifier (UDS)."""
 
 LAST_29_BIT_ID = 0x1FFF_FFFF
-LONGEST_ANSWER = 4095  # bytes that ISO-TP can carry
-SHORTEST_PERIOD = 0.05  # s; control units renew such values every 0.1 s or so
+LONGEST_ANSWER = 4095  # bytes, by ISO-TP
+SHORTEST_PERIOD = 0.05  # s; control units update such values about every 0.1 s
 LONGEST_PERIOD = 60.0
 QUESTIONS_PER_S = 25
-"""Questions that all requests of a profile together may make in a second."""
+"""Most requests per second of all rules of a profile together."""
 REQUEST_KEYS = ("tx", "rx", "target", "source", "read", "min_length", "period")
 VALUE_KEYS = ("request", "first_byte", "type", "offset", *RULE_KEYS)
 _TYPE = re.compile(r"(?P<sign>[su])(?P<bits>8|16|24|32)(?P<little>_le)?")
 
 
 Send = Callable[[CanFrame], bool]
-"""Puts a frame on the bus; False when there is no bus now. Its stamp means nothing."""
+"""Sends a frame; returns False without a bus. The frame's stamp is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Address:
 
     tx_id: int  # id of the requests
     rx_id: int  # id of the answers
-    extended: bool  # both ids have 29 bits
+    extended: bool  # True if both ids have 29 bits
     target: int | None  # first byte of every request (extended addressing), or None
     source: int | None  # first byte of every answer (extended addressing), or None
 
@@ -49,19 +49,19 @@ class Address:
 
     @property
     def answers_from(self) -> BusId:
-        """The id of the answers, and whether it has 29 bits."""
+        """The id of the answers, and True if it has 29 bits."""
         return self.rx_id, self.extended
 
 
 @dataclass(frozen=True, slots=True)
 class RequestRule:
-    """One question to one control unit."""
+    """One request to one control unit."""
 
     name: str  # in the profile
     address: Address  # of the control unit
     payload: bytes  # the service and its identifier
-    min_length: int  # bytes that the answer must have behind its echo of the identifier
-    period_s: float  # how often to ask
+    min_length: int  # least bytes of an answer after its echo of the identifier
+    period_s: float  # time between requests
 
     @property
     def echo(self) -> bytes:
@@ -71,7 +71,7 @@ class RequestRule:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A positive answer: when its first frame came, to what, and what stands behind the echo."""
+    """A positive answer: stamp of its first frame, its request, and the bytes after the echo."""
 
     stamp_ns: int
     request: RequestRule
@@ -82,15 +82,15 @@ class Answer:
 class AnswerField:
     """Place of a value in an answer."""
 
-    request: RequestRule  # the question
-    first: int  # index of its first byte behind the echo
+    request: RequestRule  # the request
+    first: int  # index of its first byte after the echo
     length: int  # in bytes
     signed: bool  # two's complement
-    byte_order: Literal["big", "little"]  # which byte comes first
-    signal: SignalRule  # what the raw value means
+    byte_order: Literal["big", "little"]  # order of its bytes
+    signal: SignalRule  # meaning of the raw value
 
     def raw(self, data: bytes) -> int:
-        """The raw value in what follows the echo, at least `min_length` bytes."""
+        """The raw value in the bytes after the echo, at least `min_length`."""
         part = data[self.first : self.first + self.length]
         return int.from_bytes(part, self.byte_order, signed=self.signed)
 
@@ -98,8 +98,8 @@ class AnswerField:
 def request_rules(section: Section) -> dict[str, RequestRule]:
     """Read the section `requests` of a profile.
 
-    InputError: a key or an id is wrong, a service does not read, two answers look alike, or all
-    ask too often.
+    InputError: a key or an id is wrong, a service does not read, two answers look alike, or the
+    requests together are too frequent.
     """
     rules = {name: _request_rule(section.section(name), name) for name in section.names()}
     for earlier, other in combinations(rules.values(), 2):
@@ -118,7 +118,7 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
 def answer_field(
     section: Section, requests: Mapping[str, RequestRule], quantity: str
 ) -> AnswerField:
-    """Where a quantity lies in the answer to one of `requests`; InputError."""
+    """Place of a quantity in the answer to one of `requests`; InputError if invalid."""
     section.refuse_unknown((*VALUE_KEYS, *(("positive_means",) if quantity == "current" else ())))
     request = requests[section.choice("request", requests)]
     kind = _TYPE.fullmatch(section.text("type"))
@@ -143,7 +143,7 @@ def answer_field(
 
 
 def refuse_overlaps(root: Section, fields: Iterable[AnswerField]) -> None:
-    """Raise InputError when two values claim the same byte of one answer."""
+    """Raise InputError if two values use the same byte of an answer."""
     ordered = sorted(fields, key=lambda field: (field.request.name, field.first))
     for before, other in pairwise(ordered):
         if before.request is other.request and before.first + before.length > other.first:

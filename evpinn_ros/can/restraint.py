@@ -1,8 +1,8 @@
 """Decides when to pause and resume polling: a polled ECU stays awake and drains the 12 V battery.
 
 A pause ends when the car moves, or its bus carries many ids again after a silence. Each time that
-no answer followed, the next is accepted later, up to an hour. Where nothing is broadcast, a pause
-lasts until the node restarts: a probe can wake a car.
+no answer follows, the next attempt is delayed longer, up to an hour. Without broadcasts a pause
+lasts until the node restarts, because a probe can wake a car.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from evpinn_ros.can.diagnostic_ids import is_request_id
 from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReading
 
 UNANSWERED_S = 30.0
-"""Pause of every control unit after which the car is taken to be asleep."""
+"""Time without any answer after which the car counts as asleep."""
 
 WOKEN_UNANSWERED_S = 5.0
-"""Pause of every control unit after a stop: those of a car that woke answer in a second."""
+"""The same after a pause: control units of a car that woke answer within a second."""
 
 QUIET_S = 10.0
-"""Pause of the whole bus after which its traffic can show that the car woke."""
+"""Silence of the whole bus after which traffic shows that the car woke."""
 
 AWAKE_FRAMES, AWAKE_IDS, AWAKE_WITHIN_S = 20, 3, 2.0
-"""Traffic of a car that is awake: a stray frame or one restless control unit makes less. OVMS
-(vehicle_renaultzoe_ph2) takes 15 frames a second of a few ids for an awake Zoe."""
+"""Traffic of a car that is awake; stray frames or one restless control unit make less. OVMS
+(vehicle_renaultzoe_ph2) takes 15 frames a second of a few ids as an awake Zoe."""
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 3600.0
-"""Time from one awakening that came to nothing to the next that is accepted, doubled each time."""
+"""Delay after an unanswered attempt before the next one, doubled each time."""
 
 LOW_VOLTAGE, RECOVERED_VOLTAGE = 12.0, 12.5
-"""V of a lead battery at rest, charged to 40 % and 80 %; 13 and more while the car charges it."""
+"""V of a lead battery at rest, at 40 % and 80 % of charge; 13 V or more while charged."""
 LOW_FOR_S = 10.0
 DRIVING_FOR_S = 5.0
-"""The 12 V battery may be low while driving: the car charges it."""
+"""After a movement, time for which a low 12 V battery is accepted: the car charges it."""
 STANDSTILL = 0.5  # m/s
 
 IDLE_CURRENT = 0.3  # A: a car that is ready to drive, or charges, draws more
@@ -41,7 +41,7 @@ IDLE_FOR_S = 600.0
 
 
 class Leave(Enum):
-    """Leave to ask: everything, the 12 V battery alone, nothing."""
+    """Requests that are allowed: all, the 12 V battery only, or none."""
 
     ALL = auto()
     AUXILIARY = auto()
@@ -49,11 +49,11 @@ class Leave(Enum):
 
 
 class Restraint:
-    """Watches what comes back; all times in s of the monotonic clock."""
+    """Decides by frames and answers; all times in s of the monotonic clock."""
 
     def __init__(self) -> None:
-        self.reason: str | None = None  # why not to ask, None while asking is fine
-        self.leave = Leave.ALL  # what may be asked
+        self.reason: str | None = None  # why requests are paused; None if they are not
+        self.leave = Leave.ALL  # requests that are allowed
         self._low = False
         self._patience_s = UNANSWERED_S
         self._unanswered_since_s: float | None = None
@@ -65,7 +65,7 @@ class Restraint:
         self._not_before_s = -math.inf
 
     def asked(self, now_s: float, sent: bool) -> None:
-        """A request went out, or could not because there is no bus now."""
+        """A request was due; `sent` is False if there was no bus."""
         if self._low:
             self.leave = Leave.NOTHING
         elif not sent:
@@ -78,13 +78,13 @@ class Restraint:
             )
 
     def answered(self) -> None:
-        """Note an answer of a control unit, be it a refusal."""
+        """Note an answer of a control unit, including a refusal."""
         self._unanswered_since_s = None
         if not self._low:
             self._patience_s, self._wait_s = UNANSWERED_S, 0.0
 
     def record_frame(self, can_id: int, extended: bool, now_s: float) -> bool:
-        """Record a frame of any id; True when asking is worth a try again."""
+        """Record a frame of any id; True if requests may be tried again."""
         self._traffic.record(can_id, extended, now_s)
         moves = now_s - self._moved_s < DRIVING_FOR_S
         awake = self._traffic.awake or moves

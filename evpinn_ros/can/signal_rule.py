@@ -1,4 +1,4 @@
-"""From the raw bits of one signal to a number in SI units, and which numbers count."""
+"""Converts the raw bits of one signal to a number in SI units, and checks its range."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "torque": {"N m": 1.0},
     "motor_speed": {"rpm": 2 * math.pi / 60, "rad/s": 1.0},
 }
-"""Units that a quantity may be given in, each in SI."""
+"""Units in which a quantity may be given, each in SI."""
 
 POSITIVE_MEANS: Mapping[str, Mapping[str, float]] = {
     "current": {"charge": 1.0, "discharge": -1.0},
     "torque": {"drive": 1.0, "brake": -1.0},
 }
-"""Quantities whose sign a profile must state, and the sign it has in readings."""
+"""Quantities whose sign a profile must state, and the meaning of a positive reading."""
 
 RULE_KEYS = ("unit", "scale", "valid", "not_available")
 
 
 class UnusableError(Exception):
-    """Bits of a frame or an answer that may not be used; the text is the reason to count."""
+    """Unusable bits of a frame or an answer; the text is the reason under which they count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +42,10 @@ class SignalRule:
     si: float  # SI units, with the sign of `evpinn_ros.core.signals.readings`, per file unit
     lower: float  # smallest value the car can show, SI
     upper: float  # largest value the car can show, SI
-    not_available: frozenset[int]  # raw values that stand for "no value"
+    not_available: frozenset[int]  # raw values that mean "no value"
 
     def value(self, raw: float) -> float:
-        """The value of the raw bits, SI. File units come first: they are exact at rest."""
+        """The value of the raw bits, SI. File units are computed first: they are exact at rest."""
         return (raw * self.scale + self.offset) * self.si
 
     def raw(self, value: float) -> int:
@@ -57,7 +57,7 @@ class SignalRule:
         return min(max(value, self.lower), self.upper)
 
     def read(self, raw: int) -> float:
-        """The value of the raw bits, SI; or UnusableError."""
+        """The value of the raw bits, SI; raises UnusableError if it is no valid value."""
         if raw in self.not_available:
             raise UnusableError("not_available")
         value = self.value(raw)
@@ -67,16 +67,16 @@ class SignalRule:
 
     @property
     def resolution(self) -> float:
-        """One raw step, SI."""
+        """Size of one raw step, SI."""
         return abs(self.scale * self.si)
 
 
 def signal_rule(
     section: Section, name: str, quantity: str, scale: float = 1.0, offset: float = 0.0
 ) -> SignalRule:
-    """Read `RULE_KEYS` and the sign that `POSITIVE_MEANS` asks for; a sign is never guessed.
+    """Read `RULE_KEYS` and the sign that `POSITIVE_MEANS` requires; a sign is never guessed.
 
-    `scale` and `offset` are the DBC's. Raises InputError.
+    `scale` and `offset` are those of the DBC file. Raises InputError.
     """
     units = UNITS[quantity]
     si = units[section.choice("unit", units)]
@@ -101,7 +101,7 @@ def signal_rule(
 
 
 def refuse_impossible(section: Section, rule: SignalRule, bits: int, signed: bool) -> None:
-    """InputError where the raw bits can never be what `not_available` or `valid` name."""
+    """Raise InputError if the raw bits can never take a value in `not_available` or `valid`."""
     lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     raw = f"{bits} bits, {'signed' if signed else 'unsigned'}, are {lowest} to {highest}"
     for value in rule.not_available:
