@@ -1,4 +1,4 @@
-"""Arithmetic that serves numpy and torch alike; torch is loaded by those who bring a tensor."""
+"""Arithmetic for numpy arrays and torch tensors; it never loads torch itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def namespace(array: Any) -> Any:
 
 
 def like(array: np.ndarray, example: Any) -> Any:
-    """A numpy array as whatever the example is."""
+    """A numpy array converted to the type of the example: numpy or torch."""
     if namespace(example) is np:
         return array
     return namespace(example).as_tensor(array, dtype=example.dtype, device=example.device)
@@ -41,12 +41,12 @@ def numbers(mask: Any, example: Any) -> Any:
 
 
 def zeros(shape: tuple[int, ...], example: Any) -> Any:
-    """Zeros of the kind of the example."""
+    """Zeros of a shape, of the type of the example: numpy or torch."""
     return np.zeros(shape) if namespace(example) is np else example.new_zeros(shape)
 
 
 def whole(values: Any) -> Any:
-    """Integers that index arrays, towards zero."""
+    """Values rounded towards zero, as integers that index arrays."""
     return values.astype(np.intp) if namespace(values) is np else values.long()
 
 

@@ -1,4 +1,4 @@
-"""The one error a person can mend: wrong input, in one line."""
+"""The only error that a person can correct: wrong input, in one line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 
-LONGEST_TEXT = 1000  # characters: what is shown may be quoted from a file, which may hold anything
+LONGEST_TEXT = 1000  # characters: the text may quote a file of any content
 
 
 class InputError(Exception):
@@ -22,7 +22,7 @@ class InputError(Exception):
 
 @contextmanager
 def as_input_error(what: object = None, *kinds: type[Exception]) -> Iterator[None]:
-    """Say in one line, after `what` or else the error's file, what failed in a block."""
+    """Raise errors of a block as InputError, one line that names `what`, else the error's file."""
     caught: tuple[type[Exception], ...] = (OSError, *kinds)
     try:
         yield
@@ -32,23 +32,23 @@ def as_input_error(what: object = None, *kinds: type[Exception]) -> Iterator[Non
 
 
 def reason_of(error: BaseException) -> str:
-    """Reason of an error in one line: that of the system without its number and file."""
+    """Reason of an error in one line; an OSError without its number and file."""
     return getattr(error, "strerror", None) or one_line(error)
 
 
 def one_line(error: BaseException) -> str:
-    """Text of an error of foreign code in one line; its kind where it has no text."""
+    """Text of an error of foreign code in one line, or its class name if it has no text."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def with_kind(error: BaseException) -> str:
-    """Text of an error in one line, with its kind unless a person can mend it."""
+    """Text of an error in one line, with its class name unless it is an InputError."""
     text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
     return " ".join(text.split())
 
 
 def printable(text: str) -> str:
-    """One line of a text, without what would speak to the terminal, and of bearable length."""
+    """A text as one line without control characters, cut to `LONGEST_TEXT`."""
     shown = "".join(character if character.isprintable() else " " for character in text)
     return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."
 
@@ -58,12 +58,12 @@ SAY_CAR = "say --car NAME for one of them, or use what evpinn convert --car NAME
 
 
 def near_names(name: str, known: Iterable[str]) -> str:
-    """Words to append to an error: known names near to what was typed, empty if none is."""
+    """Words to append to an error: known names similar to the typed one; empty without any."""
     by_lower = {name_known.lower(): name_known for name_known in known}
     near = [by_lower[lower] for lower in get_close_matches(name.lower(), by_lower, cutoff=0.6)]
     return f"; did you mean {', '.join(near)}" if near else ""
 
 
 def known_names(name: str, known: Collection[str]) -> str:
-    """Names near to a wrong one, then all that are known."""
+    """Words to append to an error: similar names, then all known names."""
     return f"{near_names(name, known)}; known are {', '.join(known)}"

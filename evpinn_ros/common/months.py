@@ -17,7 +17,7 @@ _NAMES = (
     ("Dec", "dec déc dez dic дек"),
 )
 MONTHS = {name: number for number, (_, names) in enumerate(_NAMES, 1) for name in names.split()}
-"""Number of a month by its abbreviation in small letters."""
+"""Number of a month by its abbreviation in lower case."""
 
 IN_ENGLISH = {name: english for english, names in _NAMES for name in names.split()}
-"""English abbreviation of a month by another one."""
+"""English abbreviation of a month by its abbreviation in any language."""

@@ -1,8 +1,8 @@
-"""The one way in: every file from outside is opened here, and nothing but a file.
+"""Opens every input file of the package, and refuses anything but a regular file.
 
-A named pipe would be waited for, a device read for ever. Parsers are bounded here: bytes of a
-file, its ratio, characters of a line. A foreign one whose format can lie runs apart
-(`common.sandbox`). What was opened is remembered, so that no output is written over it
+A named pipe would block, and a device never ends. Limits for parsers: bytes of a file, ratio of
+compression, characters of a line. A foreign parser of an unsafe format runs in a process of its
+own (`common.sandbox`). Opened files are remembered, so that no output overwrites them
 (`common.writer`).
 """
 
@@ -20,27 +20,27 @@ from typing import IO, BinaryIO, cast
 from evpinn_ros.common.errors import InputError, as_input_error
 
 LONGEST_LINE = 1_000_000
-"""Characters of a line of text, one without an end would fill the memory: a frame of CAN FD takes
+"""Characters of a line of text: an endless line would fill the memory. A frame of CAN FD takes
 200, a row of a wide table 10 000."""
 MOST_COLUMNS = 10_000  # of a table
 RATIO, FREE_BYTES = 200, 1 << 20
 _files: dict[tuple[int, int], tuple[Path, bool]] = {}
-"""Name of every file that this process opened or wrote, by device and number; whether it wrote it.
+"""Path of every file that this process opened or wrote, by device and inode; True if it wrote it.
 """
 
 
 def most_unpacked(size: int) -> int:
-    """Bytes that so many packed ones may unpack to; bags shrink to a hundredth at most."""
+    """Most bytes that a packed file of this size may unpack to; bags shrink by 100 at most."""
     return FREE_BYTES + RATIO * size
 
 
 def open_file(path: Path) -> BinaryIO:
-    """A file as bytes; OSError if it cannot be opened or is none, ValueError for its name."""
+    """A file as bytes; OSError if unreadable or not regular, ValueError for an impossible name."""
     return open(path, "rb", opener=_open)
 
 
 def open_unpacked(path: Path) -> IO[bytes]:
-    """A file, unpacked if it is a `.gz`; where it unpacks to too much, reading raises OSError."""
+    """A file, unpacked if it is a `.gz`; reading raises OSError beyond `most_unpacked` bytes."""
     if path.suffix.lower() != ".gz":
         return open_file(path)
     return cast(IO[bytes], io.BufferedReader(_BoundedGzip(path), 1 << 16))
@@ -61,13 +61,13 @@ def read_whole(path: Path, most: int, what: str) -> bytes:
 
 
 def check_file(path: Path) -> int:
-    """Bytes of a file that a library will open; InputError if it is none."""
+    """Size in bytes of a file that a library will open; InputError if it is not a regular file."""
     with as_input_error(path, ValueError), open_file(path) as file:
         return os.fstat(file.fileno()).st_size
 
 
 def input_at(path: Path) -> Path | None:
-    """The name of the input that a path leads to, if this process has opened it, or None."""
+    """Path under which this process opened the same file as input; None if it did not."""
     with suppress(OSError, ValueError):
         status = path.stat()
         if (named := _named(status)) is not None and not named[1]:
@@ -76,13 +76,13 @@ def input_at(path: Path) -> Path | None:
 
 
 def note_own(path: Path) -> None:
-    """Remember that this process wrote a file, which is no input then."""
+    """Remember that this process wrote a file, so that it does not count as input."""
     status = path.stat()
     _files[status.st_dev, status.st_ino] = path.absolute(), True
 
 
 def _named(status: os.stat_result) -> tuple[Path, bool] | None:
-    """What is known of a file; the number of one that is gone is given to another."""
+    """The entry of a file in `_files`, checked: the inode of a deleted file is used again."""
     named = _files.get((status.st_dev, status.st_ino))
     with suppress(OSError):
         if named is not None and os.path.samestat(named[0].stat(), status):
@@ -97,7 +97,7 @@ def _open(path: str, flags: int) -> int:
         if _named(status) is None:
             _files[status.st_dev, status.st_ino] = Path(path).absolute(), False
         return descriptor
-    if stat.S_ISDIR(status.st_mode):  # of which Python says it better
+    if stat.S_ISDIR(status.st_mode):  # Python's own error is clearer
         return descriptor
     os.close(descriptor)
     raise OSError(errno.EINVAL, "a pipe or a device, no file", path)

@@ -22,7 +22,7 @@ EXTRA_OF = {
     "rasterio": "elevation",
     "rclpy": "ros",
 }
-"""Extra by the name of what is imported. All of `setup.py` that a command needs stand here."""
+"""Extra by name of the imported module: all extras of `setup.py` that a command needs."""
 
 
 @contextmanager
@@ -40,10 +40,10 @@ def optional_imports() -> Iterator[None]:
 
 
 def pandas() -> Any:
-    """The module, loaded once a table of it is made: it takes 0.3 s and 60 MB.
+    """The module pandas, imported when the first table is made: it takes 0.3 s and 60 MB.
 
     Raises:
-        InputError: it is not installed.
+        InputError: pandas is not installed.
     """
     with optional_imports():
         import pandas as pd

@@ -1,4 +1,4 @@
-"""Tables of texts that may come from anywhere: shown as they are, whatever is in them."""
+"""Tables that show untrusted texts literally."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from evpinn_ros.common.errors import printable
 
 
 class PlainTable(Table):
-    """A table without markup: names of topics, files and cars are text and nothing else."""
+    """A table without markup: names of topics, files and cars are shown literally."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class PlainTable(Table):
         words: Collection[str] = (),
         unbroken: Collection[str] = (),
     ) -> None:
-        """A table; `words` and the first column to the left, `unbroken` not folded."""
+        """Make a table; `words` and the first column are aligned left, `unbroken` never fold."""
         shown = Text(printable(title), style="table.title") if title else None
         super().__init__(title=shown, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         for column in columns:
@@ -33,14 +33,14 @@ class PlainTable(Table):
                 _plain(column),
                 justify="left" if left else "right",
                 no_wrap=column in unbroken,
-                # The end of a name may be all that tells two rows apart.
+                # Two rows may differ only at the end of a name.
                 overflow="fold" if column == columns[0] else "ellipsis",
             )
         for row in rows:
             self.add_row(*row)
 
     def add_row(self, *cells: Any, **options: Any) -> None:
-        """Add a row of plain texts; `options` are rich's."""
+        """Add a row of plain texts; `options` go to rich."""
         super().add_row(*map(_plain, cells), **options)
 
 

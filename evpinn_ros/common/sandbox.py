@@ -1,7 +1,7 @@
-"""Runs a foreign parser in a process of its own, which may crash, hang or fill up.
+"""Runs a foreign parser in a process of its own, because it may crash, hang or fill the memory.
 
-The file's size bounds what it may take. `python -m evpinn_ros.common.sandbox MODULE:FUNCTION IN
-OUT` is the other process.
+Its limits depend on the size of the file. The process is `python -m evpinn_ros.common.sandbox
+MODULE:FUNCTION IN OUT`.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from evpinn_ros.common.units import MEBIBYTE
 
 MOST_MEMORY, MOST_OUTPUT = 2 << 30, 16 << 30
 PATIENCE = 6.0  # times of its processor time that a process may wait for a core
-PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent has died
+PR_SET_PDEATHSIG = 1  # of Linux: signal that a process gets when its parent dies
 
 
 class ParserLimits(NamedTuple):
-    """Limits of a parser, after what it needs to be imported."""
+    """Limits of a parser, beyond what its import needs."""
 
     memory: int  # bytes
-    output: int  # bytes of the file it writes
-    seconds: int  # of the processor
+    output: int  # bytes of the written file
+    seconds: int  # of processor time
 
     @classmethod
     def of(cls, size: int) -> ParserLimits:
-        """Limits for a file of so many bytes; libraries hold a table at 5 to 20 times its size."""
+        """Limits for a file of this size, bytes; libraries need 5 to 20 times that for a table."""
         return cls(
             min(160 * MEBIBYTE + 40 * size, MOST_MEMORY),
             min(16 * MEBIBYTE + RATIO * size, MOST_OUTPUT),
@@ -43,7 +43,7 @@ class ParserLimits(NamedTuple):
 
 
 def run_apart(function: str, path: Path, out: Path) -> str | None:
-    """Have `MODULE:NAME` read a file and write another, apart; a failure's reason, or None."""
+    """Have `MODULE:NAME` read a file and write another; returns why it failed, or None."""
     limits = ParserLimits.of(check_file(path))
     command = [sys.executable, "-B", "-m", __spec__.name, function, str(path), str(out)]
     few = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
@@ -70,7 +70,7 @@ def run_apart(function: str, path: Path, out: Path) -> str | None:
 def _reason(code: int, errors: str, limits: ParserLimits) -> str:
     if -code in (signal.SIGXCPU, signal.SIGKILL):
         return f"takes more than {limits.seconds} s to read"
-    # Allocators of C++ and Rust end the process where there is no more.
+    # Allocators of C++ and Rust end the process when the memory is used up.
     if "memory allocation" in errors or "bad_alloc" in errors or "MemoryError" in errors:
         return f"takes more than {limits.memory // MEBIBYTE} MiB to read"
     if code < 0 or not errors.strip():
@@ -94,7 +94,7 @@ def _limit(limits: ParserLimits) -> None:
 
 
 def be_the_parser(function: str, path: Path, out: Path) -> NoReturn:
-    """Be the other process: end with 0, or 1 and a line."""
+    """Run the parser in this process, and end it with 0, or with 1 and a line."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     code = 1
     try:
@@ -103,11 +103,11 @@ def be_the_parser(function: str, path: Path, out: Path) -> NoReturn:
         _limit(ParserLimits.of(check_file(path)))
         work(path, out)
         code = 0
-    except BaseException as error:  # a panic of Rust is no Exception
+    except BaseException as error:  # a panic of Rust is not an Exception
         reason = "MemoryError" if isinstance(error, MemoryError) else one_line(error)
         print(printable(reason), file=sys.stderr)
     sys.stderr.flush()
-    os._exit(code)  # what a library holds need not be taken to pieces
+    os._exit(code)  # without finalizers of libraries
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Saved values: declared once, as dataclasses whose fields carry the range of their numbers.
+"""Saved values, declared once as dataclasses whose fields carry the range of their numbers.
 
-`plain` gives the saved form, `read` checks it by pydantic. A missing field is at its default and
-others are ignored, so files of other versions are read. What ranges cannot express is refused by
-the ValueError of `__post_init__`.
+`plain` gives the saved form, `read` checks it by pydantic. A missing field takes its default and
+unknown fields are ignored, so files of other versions can be read. `__post_init__` checks what
+ranges cannot express, and raises ValueError.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ State = TypeVar("State")
 
 
 class Range(NamedTuple):
-    """What is declared of a number or array, beside its type in `Annotated`."""
+    """Range of a number or array, beside its type in `Annotated`."""
 
     least: float  # the smallest number
     most: float  # the largest number
     unknown: bool = False  # whether a number may be NaN, which is saved as null
     shape: tuple[Any, ...] = ()  # of an array, None for any length; empty: a row of any length
-    # whether an array is saved as a row of any length: its states are named beside it, for another
-    # version has others
+    # True if an array is saved as a row of any length, with the names of its states beside it:
+    # other versions have other states
     by_state: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, _: Any) -> Any:
@@ -67,33 +67,33 @@ class Range(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """What is declared of a field that files, tables and pages show, beside its type."""
+    """Unit and meaning of a field that files, tables and pages show, beside its type."""
 
     unit: str  # empty for text and plain numbers
     meaning: str  # one sentence for people
 
 
 class StateError(InputError, ValueError):
-    """A saved state is not what is declared; the text names the place."""
+    """A saved state does not fit its declaration; the text names the place."""
 
 
 class Saveable(ABC, Generic[State]):
-    """Something whose state is saved; fields in `SAME` must be those of the present state."""
+    """An object whose state is saved; a restored state must have equal fields `SAME`."""
 
     @abstractmethod
     def saved(self) -> State:
-        """What `take` needs to go on from here."""
+        """The state with which `take` goes on from here."""
 
     @abstractmethod
     def take(self, saved: State) -> None:
-        """Go on from a state within its ranges; ValueError where it is not possible otherwise."""
+        """Go on from a state that is within its ranges; ValueError if it is impossible."""
 
     def export(self) -> Any:
-        """State to save, of numbers, text, lists and mappings only."""
+        """The state to save, made of numbers, text, lists and mappings only."""
         return plain(self.saved())
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from what `export` gave; StateError if it is another's, or not possible."""
+        """Go on from the result of `export`; StateError if impossible or of another object."""
         before = self.saved()
         _refuse_another(saved, before)
         try:
@@ -105,7 +105,7 @@ class Saveable(ABC, Generic[State]):
 
 
 def plain(value: Any) -> Any:
-    """A value as it is saved."""
+    """The form in which a value is saved."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if is_dataclass(value) or hasattr(value, "_fields"):
@@ -124,7 +124,7 @@ def plain(value: Any) -> Any:
 
 
 def read(kind: type[State], saved: Any) -> State:
-    """The saved value of a class; StateError names the first place in one line."""
+    """The saved value of a class; StateError names the first wrong place in one line."""
     adapter = _adapter(cast("Any", kind))
     try:
         value: State = adapter.validate_json(json.dumps(saved), strict=True)
@@ -140,24 +140,24 @@ def read(kind: type[State], saved: Any) -> State:
 
 @cache
 def _adapter(kind: Any) -> Any:
-    # Here: it takes a tenth of a second, and what saves nothing needs none.
+    # Imported here: it takes 0.1 s, and is needed only where states are saved.
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)
 
 
 class Declared(NamedTuple):
-    """What the annotation of a saved field says of it."""
+    """Declaration of a saved field, from its annotation."""
 
     kind: Any  # its type, without None
-    range: Range | None  # of its numbers, None where none is declared
+    range: Range | None  # of its numbers, None if not declared
     optional: bool  # whether it may be None
-    lackable: bool  # whether it has a default, so that a file may lack it
+    lackable: bool  # whether it has a default, so that it may be missing in a file
 
 
 @cache
 def declared(kind: Any) -> dict[str, Declared]:
-    """Fields of a dataclass or NamedTuple as they are declared."""
+    """Declarations of the fields of a dataclass or NamedTuple, by name."""
     fields_by_name = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         optional = NoneType in get_args(hint)
@@ -173,7 +173,7 @@ def declared(kind: Any) -> dict[str, Declared]:
 
 
 def figures(kind: Any) -> dict[str, Figure]:
-    """Fields of a dataclass that are shown, in their order."""
+    """The shown fields of a dataclass, in their order, with unit and meaning."""
     hints = get_type_hints(kind, include_extras=True)
     return {
         name: note

@@ -16,9 +16,9 @@ Handler = Callable[[int, FrameType | None], object]
 
 
 def at_stop(handler: Handler) -> None:
-    """Call a handler at each signal to stop; a hang-up ignored, as by nohup, stays so.
+    """Call a handler at each signal to stop; an ignored hang-up, as under nohup, stays ignored.
 
-    A terminal that was closed gets no more lines, before the handler runs.
+    If the terminal was closed, output to it ends before the handler runs.
     """
 
     def leave_and_handle(number: int, frame: FrameType | None) -> None:
@@ -46,9 +46,9 @@ def stopped_by(handler: Handler) -> Iterator[None]:
 
 @contextmanager
 def interruptible(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
-    """Have other handlers within a block, and ignore Ctrl-C once it is over.
+    """Replace handlers within a block, and ignore Ctrl-C after it.
 
-    The process only ends then: an exception would be lost in a finalizer, with a traceback.
+    After the block the process only ends: a KeyboardInterrupt in a finalizer prints a traceback.
     """
     try:
         for number, handler in handlers.items():
@@ -59,7 +59,7 @@ def interruptible(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
 
 
 def leave_terminal() -> None:
-    """Write to no terminal any more, for it is closed: each line would be an error."""
+    """End output to a closed terminal, where each line would raise an error."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         try:

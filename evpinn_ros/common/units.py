@@ -1,4 +1,4 @@
-"""Units that people and files have, in SI, which the code and the topics have."""
+"""Units of people and files in SI, the units of the code and the topics."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ KMH = 1 / 3.6  # m/s
 MEGABYTE, MEBIBYTE = 1e6, 1 << 20
 
 
-SMALL_KWH = 0.1  # of a robot's hour or a car's half kilometre: two more digits are worth showing
+SMALL_KWH = 0.1  # of a robot's hour or a car's half kilometre: shown with two more digits
 
 
 def kwh_digits(kwh: float, usual: int) -> int:
-    """Digits of energies in a table whose largest is this one, kWh."""
+    """Digits after the point of energies in a table; `kwh` is the largest of them."""
     return usual + 2 if abs(kwh) < SMALL_KWH else usual
 
 
 def fixed(value: float, digits: int, sign: str = "") -> str:
-    """A number to so many digits, without a minus before zeros; sign `+` for differences."""
+    """A number with fixed digits after the point, never `-0.0`; sign `+` for differences."""
     return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
 
 
 def counted(number: int, word: str) -> str:
-    """Number of things with their word: `1 car`, `2 cars`."""
+    """A number with its noun: `1 car`, `2 cars`."""
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def with_sigma(value: float, sigma: float) -> str:
-    """Value and 1-sigma, both to the second digit of the latter: `2020 ± 230`."""
+    """Value and 1-sigma, both to the second digit of the 1-sigma: `2020 ± 230`."""
     return f"{_as_exact(value, sigma)} ± {two_digits(sigma)}"
 
 
 def two_digits(value: float) -> str:
-    """A positive number to its second digit, without an exponent: `230`, `0.0012`."""
+    """A positive number with two significant digits, without an exponent: `230`, `0.0012`."""
     return _as_exact(value, value)
 
 
@@ -45,32 +45,32 @@ def _as_exact(value: float, sigma: float) -> str:
 
 
 class Units(NamedTuple):
-    """Names of units, and what one of each is in SI."""
+    """Names of units, and their size in SI."""
 
     distance: str  # name
-    metres: float  # of one distance
-    speed: str  # name of one distance an hour
-    speed_step: float  # speeds that stand apart on a chart
+    metres: float  # in one unit of distance
+    speed: str  # name of one unit of distance per hour
+    speed_step: float  # between groups of speeds on a chart
     height: str  # name
-    height_metres: float  # of one height
+    height_metres: float  # in one unit of height
     temperature: str  # name
-    degrees: float  # of the temperature in one kelvin
+    degrees: float  # units of temperature in one kelvin
     zero: float  # temperature at 0 degrees Celsius
-    rate: str  # name of energy over distance, which adds up
-    rate_joules: float  # a metre of one rate
+    rate: str  # name of energy per distance, which adds up
+    rate_joules: float  # J/m in one unit of rate
 
     @property
     def speeds(self) -> float:
-        """Speeds in one m/s."""
+        """Units of speed in one m/s."""
         return 3600.0 / self.metres
 
     @property
     def economy(self) -> str:
-        """Name of what `consumption` states."""
+        """Name of the unit of `consumption`."""
         return self.rate if self is METRIC else f"{self.distance}/kWh"
 
     def consumption(self, joules: float, metres: float) -> str:
-        """Energy over distance as people state it, in units of `economy`."""
+        """Text of the consumption, in the unit `economy`, from energy, J, and distance, m."""
         if self is METRIC:
             return fixed(joules / metres / self.rate_joules, 1)
         return f"{metres / self.metres * JOULES_PER_KWH / joules:.1f}" if joules > 0 else "-"
@@ -88,5 +88,5 @@ class UnitSystem(str, Enum):
 
     @property
     def units(self) -> Units:
-        """The units of it."""
+        """The units of this system."""
         return US if self is UnitSystem.US else METRIC

@@ -1,8 +1,8 @@
-"""The one way out: every file of the package is created here.
+"""Creates every output file of the package.
 
-Files are whole or not there, follow no link that somebody laid, and destroy no input: after a loss
-of power, a kill, on a full disk, beside another writer, and in a folder of others. OSErrors come
-through.
+A file is complete or absent, never follows a link that another user made, and overwrites no input:
+also after a power failure or a kill, on a full disk, beside another writer, and in a folder of
+another user. OSErrors are passed on.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from evpinn_ros.common.opener import input_at, note_own, open_file
 from evpinn_ros.common.units import MEBIBYTE
 
 DRAFT = ".evpinn-draft-"
-"""Begin of a draft's name: as short as that, for the file's own name may be as long as can be."""
-PATIENCE = 10.0  # s that a writer waits for another one; a state takes milliseconds
-ABANDONED = 86_400.0  # s, age of a draft of another machine that nobody writes any more
+"""Start of a draft's name; it does not contain the file's name, which may have maximal length."""
+PATIENCE = 10.0  # s to wait for another writer; a state takes milliseconds
+ABANDONED = 86_400.0  # s, age from which a draft of another machine counts as abandoned
 _DRAFT = re.compile(re.escape(DRAFT) + r"(?P<machine>\w+)-(?P<pid>\d+)-(?P<start>\d+)-.*")
-_START, _STATE = 19, 0  # fields of /proc/PID/stat behind the name
+_START, _STATE = 19, 0  # fields of /proc/PID/stat after the name
 BAG_FILES = (".mcap", ".db3", ".zstd", ".yaml")
 _POLL = 0.005  # s
 
 
 def sync(path: Path) -> None:
-    """Put the content of a file, or the names in a folder, on the disk, as far as it can be."""
+    """Flush the content of a file, or the names in a folder, to the disk if possible."""
     with suppress(OSError):  # some file systems do not sync folders
         handle = os.open(path, os.O_RDONLY)
         try:
@@ -51,11 +51,11 @@ def plain_cell(text: str) -> str:
 
 @contextmanager
 def replaced(path: Path, *, private: bool = False, update: bool = False) -> Iterator[BinaryIO]:
-    """A draft that takes the place of a file when it is whole, else nothing stays; or OSError.
+    """A draft that replaces a file once it is complete, and is removed after an error; or OSError.
 
-    The draft is new and this process's own (`mkstemp`), on the disk before it takes the place.
-    What is no file, such as a pipe, is written to as it is. A new `private` file is for its owner
-    alone. InputError for a file that this process has read, unless it is an `update` of that.
+    The draft is made by `mkstemp`, and flushed to the disk before it replaces the file. A pipe or
+    device is written directly. Only its owner can read a new `private` file. InputError for a file
+    that this process has read, unless it is an `update` of that file.
     """
     target = resolved(path)
     if not update:
@@ -85,14 +85,14 @@ def replaced(path: Path, *, private: bool = False, update: bool = False) -> Iter
 def write_file(
     path: Path, content: str | bytes, *, private: bool = False, update: bool = False
 ) -> None:
-    """Write a whole file as `replaced` does, in UTF-8, and its folder if need be."""
+    """Write a whole file as `replaced` does, in UTF-8; makes its folder if missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path, private=private, update=update) as draft:
         draft.write(content.encode() if isinstance(content, str) else content)
 
 
 def append_to(path: Path, content: str) -> None:
-    """Append text to a file that is there, all or nothing, not synced to the disk."""
+    """Append text to an existing file, all or nothing, without flushing it to the disk."""
     handle, text = os.open(resolved(path), os.O_WRONLY | os.O_APPEND), content.encode()
     try:
         if (written := os.write(handle, text)) < len(text):
@@ -103,23 +103,23 @@ def append_to(path: Path, content: str) -> None:
 
 
 def new_file(path: Path) -> BinaryIO:
-    """A file to write that is not there yet, not even as a link."""
+    """Create a file to write; OSError if there is one already, or a link."""
     return path.open("xb")
 
 
 def new_table(path: Path, *, by_line: bool = False) -> TextIO:
-    """A file of text to write that is not there yet, for the csv module; or handed on by lines."""
+    """Create a text file for the csv module, as `new_file` does; `by_line` flushes each line."""
     return path.open("x", 1 if by_line else -1, newline="", encoding="utf-8")
 
 
 def mark(path: Path) -> None:
-    """Make an empty file; what is there stays as it is."""
+    """Make an empty file; an existing one stays as it is."""
     with suppress(FileExistsError), path.open("xb"):
         pass
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a file to a place where there is none yet, without filling its holes."""
+    """Copy a file to a path without a file, and keep its holes."""
     with open_file(source) as content, new_file(target) as copy:
         for begin, end in _data_of(content):
             content.seek(begin)
@@ -130,10 +130,10 @@ def copy_file(source: Path, target: Path) -> None:
 
 
 class Held:
-    """A lock file, held until it is released or the process ends; all get it without locks."""
+    """A lock file, held until `release` or the end; never refused on a system without locks."""
 
     def __init__(self, path: Path, busy: str) -> None:
-        """Take the lock; InputError (`busy`) if it is held, OSError if it cannot be made."""
+        """Take the lock; InputError (`busy`) if another holds it, OSError if it cannot be made."""
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         while True:
             handle = os.open(path, flags, 0o600)
@@ -142,7 +142,7 @@ class Held:
                 raise InputError(busy)
             if _is_at(handle, path):
                 break
-            os.close(handle)  # its holder removed the file once it was opened here
+            os.close(handle)  # its holder removed the file after it was opened here
         self._release = finalize(self, _let_go, path, handle, os.getpid())
 
     def __enter__(self) -> Held:
@@ -152,7 +152,7 @@ class Held:
         self.release()
 
     def release(self) -> None:
-        """Give the lock to others; a second call does nothing."""
+        """Release the lock; a second call does nothing."""
         self._release()
 
 
@@ -160,7 +160,7 @@ class Held:
 def claimed(path: Path) -> Iterator[None]:
     """Keep others from writing a file between reading and writing it; OSError after 10 s.
 
-    The lock is on its folder, so no file of locks lies beside it, and a killed process holds none.
+    The lock is on its folder: it leaves no lock file, and ends with a killed process.
     """
     folder = os.open(resolved(path).parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -175,7 +175,7 @@ def claimed(path: Path) -> Iterator[None]:
 
 
 def resolved(path: Path) -> Path:
-    """The file that a path leads to, over links; OSError for a circle."""
+    """The path with all links followed; OSError for a circle of links."""
     try:
         return path.resolve()
     except RuntimeError as error:  # before Python 3.13
@@ -183,9 +183,9 @@ def resolved(path: Path) -> Path:
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
-    """InputError for outputs (not None or `-`) that would write over inputs or each other.
+    """Raise InputError for outputs (not None or `-`) that would overwrite inputs or each other.
 
-    Inputs are those given, which need not be open yet, and every file that this process has read.
+    Inputs are the given ones, opened or not, and every file that this process has read.
     """
     read = [(path, _target(path)) for path in inputs if path is not None and _is_there(path)]
     written: set[Path] = set()
@@ -206,7 +206,7 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] 
 
 
 def _data_of(file: BinaryIO) -> Iterator[tuple[int, int]]:
-    """Where a file holds data, between holes that may have any size."""
+    """Start and end, bytes, of each part of a file that holds data, between its holes."""
     end = 0
     try:
         while True:
@@ -214,7 +214,7 @@ def _data_of(file: BinaryIO) -> Iterator[tuple[int, int]]:
             end = os.lseek(file.fileno(), begin, os.SEEK_HOLE)
             yield begin, end
     except OSError as error:
-        if error.errno != errno.ENXIO:  # which says that there is no more
+        if error.errno != errno.ENXIO:  # no more data
             raise
 
 
@@ -245,13 +245,13 @@ def _is_same(path: Path, other: Path) -> bool:
 
 
 def _machine() -> str:
-    """Where numbers of processes mean the same: a machine, or a container on it."""
+    """Name of the machine or container in which a process id is unique."""
     place = os.uname().nodename + str(Path("/proc/self/ns/pid").readlink())
     return f"{zlib.crc32(place.encode()):08x}"
 
 
 def _start_of(pid: int) -> int:
-    """Time at which a living process began, in ticks of the kernel; 0 where there is none."""
+    """Start time of a running process, in ticks of the kernel; 0 if there is no such process."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -261,7 +261,7 @@ def _start_of(pid: int) -> int:
 
 
 def _let_go(path: Path, handle: int, holder: int) -> None:
-    """Remove a lock file and close it; a fork of the holder leaves it there."""
+    """Remove a lock file and close it; a fork of the holder does not remove it."""
     if os.getpid() == holder and _is_at(handle, path):
         with suppress(OSError):
             path.unlink()
@@ -283,7 +283,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _is_abandoned(draft: Path) -> bool:
-    """True if the writer of a draft has ended; one of another machine counts as ended in a day."""
+    """True if the writer of a draft has ended, which on another machine is assumed after a day."""
     name = _DRAFT.fullmatch(draft.name)
     if name is not None and name["machine"] == _machine():
         return _start_of(int(name["pid"])) != int(name["start"])
@@ -295,13 +295,13 @@ def _locked(handle: int) -> bool:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # a file system without such locks, as NFS has none of folders
+    except OSError:  # a file system without such locks, as NFS for folders
         pass
     return True
 
 
 def _mode(target: Path, private: bool) -> int:
-    """Permissions of the file that is replaced; of a new one by umask, or the owner's alone."""
+    """Permissions of the replaced file; for a new file by umask, or of the owner alone."""
     with suppress(OSError):
         return target.stat().st_mode & 0o777
     if private:

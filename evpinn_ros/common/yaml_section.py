@@ -12,10 +12,10 @@ import yaml
 from evpinn_ros.common.errors import InputError, as_input_error, known_names
 from evpinn_ros.common.opener import open_file
 
-MAX_FILE_BYTES = 100_000  # PyYAML takes a second for so much
+MAX_FILE_BYTES = 100_000  # PyYAML takes a second for this size
 LONGEST_NUMBER = 400  # characters: more than any float has before its point
 MOST_NODES = 60_000  # a second for 20 000; metadata of 1 MB with 1000 topics has 40 000
-MAX_DEPTH = 20  # of lists and mappings in each other; our files need 4, bags' metadata 7
+MAX_DEPTH = 20  # of nested lists and mappings; our files need 4, bags' metadata 7
 
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 _NUMBERS = {
@@ -25,7 +25,7 @@ _NUMBERS = {
         r"|\.(?:inf|Inf|INF))$|\.(?:nan|NaN|NAN)$"
     ),
 }
-"""Numbers as PyYAML has them, without those of base 60."""
+"""Numbers of PyYAML, except those of base 60."""
 
 
 def compose(path: Path, title: str) -> Section:
@@ -34,14 +34,14 @@ def compose(path: Path, title: str) -> Section:
 
 
 def load_plain(path: Path, title: str, most_bytes: int) -> Any:
-    """Content of a YAML file of up to `most_bytes` as plain Python values; or InputError."""
+    """Content of a YAML file as plain Python values; InputError if wrong or above `most_bytes`."""
     node = _root(path, title, most_bytes)
     with as_input_error(path, ValueError):
         return plain(node)
 
 
 def plain_text(text: str) -> Any:
-    """Plain values of YAML inside another file, None of an empty text; or ValueError."""
+    """Plain values of YAML inside another file, None for an empty text; or ValueError."""
     try:
         node = yaml.compose(text, Loader=_PlainLoader)
     except (yaml.YAMLError, OverflowError) as error:
@@ -50,21 +50,21 @@ def plain_text(text: str) -> Any:
 
 
 def plain(node: yaml.Node) -> Any:
-    """The plain Python value of a node; ValueError for tags or a date that never was."""
+    """The plain Python value of a node; ValueError for tags or an impossible date."""
     try:
         return _PlainLoader("").construct_object(node, deep=True)
     except Exception as error:
-        # PyYAML takes `!!int ""`, `!!timestamp x` and the like at their word, and stumbles in as
-        # many ways.
+        # PyYAML trusts tags such as `!!int ""` and `!!timestamp x`, and fails with any kind of
+        # error.
         reason = getattr(error, "problem", None) or error
         raise ValueError(f"no plain value: {reason}") from error
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Refuses what makes much of little: aliases, nesting without end, base 60.
+    """Refuses small files that expand to much: aliases, endless nesting, numbers of base 60.
 
     `1:30` is text here, as in YAML 1.2; YAML 1.1 makes a number of it, in a time that grows with
-    its square.
+    the square of its length.
     """
 
     depth = nodes = 0
@@ -105,7 +105,7 @@ def _refusal(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
 
 
 def _root(path: Path, title: str, most_bytes: int) -> yaml.Node:
-    # A ValueError where no file can have such a name.
+    # ValueError: an impossible name of a file.
     with as_input_error(path, ValueError), open_file(path) as file:
         text = file.read(most_bytes + 1)
     if len(text) > most_bytes:
@@ -147,11 +147,11 @@ class Section:
         return self.error(reason, self._value(key))
 
     def has(self, key: str) -> bool:
-        """True if `key` is given."""
+        """True if the section has `key`."""
         return key in self._items
 
     def names(self) -> tuple[str, ...]:
-        """Every key that is given."""
+        """All keys of the section."""
         return tuple(self._items)
 
     def section(self, key: str) -> Section:
@@ -166,7 +166,7 @@ class Section:
         return str(node.value)
 
     def path_beside(self, key: str) -> Path:
-        """The path under `key`, of a file in the folder of this one or below it."""
+        """The path under `key`, of a file in the folder of this file or below it."""
         name = Path(self.text(key))
         if name.is_absolute() or ".." in name.parts:
             raise self.error_at(key, f"'{key}' must be a file beside this one, without '..'")
@@ -204,7 +204,7 @@ class Section:
         return tuple(self._number(key, item, lower, upper) for item in self._list(key))
 
     def refuse_unknown(self, known: Collection[str]) -> None:
-        """Raise when the section has a key that is not in `known`."""
+        """Raise InputError for a key that is not in `known`."""
         for name, (key, _) in self._items.items():
             if name not in known:
                 raise self.error(f"unknown key '{name}'{known_names(name, known)}", key)

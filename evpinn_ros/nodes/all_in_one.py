@@ -1,4 +1,4 @@
-"""The three nodes in one process, with what else is wanted: what `evpinn run` starts."""
+"""The three nodes of `evpinn run` in one process, with an optional recorder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.node_parameters import Value, of_node
 
 NODES = {"estimator": EstimatorNode, "energy": EnergyNode, "can_bridge": CanBridgeNode}
-"""The bridge last, for it speaks at once, and those who listen take seconds to load."""
+"""The bridge last, because it publishes at once, and its listeners take seconds to load."""
 
 
 def run(
@@ -34,8 +34,8 @@ def run(
 ) -> int:
     """Run everything until SIGINT or SIGTERM; returns 1, with a line on stderr, for wrong input.
 
-    `parameters` go over any file's; `record` is a folder for a bag with raw frames; `beside` is
-    entered before the nodes start; `ros_args` may follow `--ros-args`.
+    `parameters` override those of a file; `record` is the folder of a bag with raw frames;
+    `beside` is entered before the nodes start; `ros_args` are arguments after `--ros-args`.
     """
     args = ["--ros-args", *ros_args] if ros_args else []
     options: dict[str, dict[str, Any]] = {

@@ -1,4 +1,4 @@
-"""Faults of arriving messages: lost ones, and leaping stamps. Knows no ROS."""
+"""Detects lost messages and leaping stamps, without ROS."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.diagnosis import LATELY
 
-MOST_PUBLISHERS = 16  # of one topic, followed at a time
+MOST_PUBLISHERS = 16  # of one topic, followed at the same time
 FUTURE = 0.5  # s
-# s by which stamps run ahead from one to the next; bags are replayed ten times as fast
+# s by which stamps may run ahead from message to message; bags are replayed ten times as fast
 LEAP = 10.0
 
 
 class NumberCheck(NamedTuple):
-    """Loss that the number of a message shows."""
+    """Result of checking the number of a message."""
 
-    lost: int  # messages of its publisher, right before it
-    by_turns: bool  # another publisher of the topic may speak in between
+    lost: int  # messages of its publisher lost right before it
+    by_turns: bool  # True if another publisher of the topic takes turns
 
 
 THE_NEXT = NumberCheck(0, by_turns=False)
@@ -29,9 +29,9 @@ THE_NEXT = NumberCheck(0, by_turns=False)
 class MessageNumbers:
     """Counts lost messages, and finds a second publisher, by the numbers of messages.
 
-    Numbers fall back once when a publisher restarts, and again and again when there are two. (A
-    killed publisher is counted by DDS for 20 s.) Jazzy's rclpy does not say whose a message is, so
-    nothing counts as lost for `LATELY` after numbers fell back.
+    Numbers fall back once when a publisher restarts, and repeatedly when there are two. (DDS
+    counts a killed publisher for 20 s.) Jazzy's rclpy does not tell the publisher of a message, so
+    nothing counts as lost for `LATELY` s after numbers fell back.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class MessageNumbers:
         self._fell: dict[Hashable, float] = {}
 
     def record(self, topic: Hashable, info: Mapping[str, Any], steady: float) -> NumberCheck:
-        """Take rclpy's `info` of a message, at a time of the monotonic clock, s."""
+        """Check rclpy's `info` of a message that arrived at `steady`, s of the monotonic clock."""
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         if not number:
             return NumberCheck(0, by_turns=True)
@@ -63,13 +63,13 @@ class MessageNumbers:
 
 
 class StampWatch:
-    """Check of one stream's stamps against the clocks of this computer."""
+    """Checks the stamps of one stream against the clocks of this computer."""
 
     def __init__(self) -> None:
         self._last: tuple[int, float] | None = None
 
     def check(self, stamp_ns: int, now_ns: int, steady: float) -> str | None:
-        """Fault of a stamp or None; `now_ns` of its clock is 0 while unknown, `steady` is s."""
+        """Fault of a stamp, or None; `now_ns` is 0 while ROS time is unknown, `steady` is s."""
         last, self._last = self._last, (stamp_ns, steady)
         if now_ns and (stamp_ns - now_ns) / NANOSECONDS > FUTURE:
             return f"stamps are more than {FUTURE:g} s ahead of this computer's clock"

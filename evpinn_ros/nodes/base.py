@@ -1,7 +1,7 @@
-"""Base of every node here: parameters, guarded callbacks, counters, diagnostics, lifecycle.
+"""Base of all nodes: parameters, guarded callbacks, counters, diagnostics, lifecycle.
 
-Without the parameter `managed` a node is configured and works at once; else `configure` makes the
-endpoints, `activate` begins to work, and `cleanup` forgets all of it.
+Without the parameter `managed` a node configures and activates itself; otherwise `configure` makes
+the endpoints, `activate` starts the work, and `cleanup` undoes both.
 """
 
 from __future__ import annotations
@@ -45,23 +45,23 @@ NOT_FINITE = "output_not_finite"
 class GuardedNode(LifecycleNodeMixin, ABC, Node):
     """A node whose callbacks never raise and which reports its health once a second."""
 
-    active, configured = True, False  # it works; its parameters are in use
+    active, configured = True, False  # whether it works; whether its parameters are in use
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        """Declare the table's parameters; work at once if no manager is wanted."""
+        """Declare the table's parameters; activate at once unless the node is managed."""
         self.calls: Counter[str] = Counter()  # of services, by name
-        self._made: list[Callable[[], object]] = []  # what undoes each endpoint and timer
+        self._made: list[Callable[[], object]] = []  # functions that undo each endpoint and timer
         Node.__init__(self, name, **kwargs)
         self._table = TABLES.get(name, ())
-        self.values = declare(self, self._table)  # of the parameters, by name; they follow changes
+        self.values = declare(self, self._table)  # of the parameters, by name, updated by changes
         self.received: Counter[Topic] = Counter()  # messages by input
         self.published: Counter[Topic] = Counter()  # messages by output
         self.bad: Counter[str] = Counter()  # unused messages, by topic and reason
-        self._usual: set[str] = set()  # of them, those that need no attention
-        self._lasting: dict[str, float] = {}  # of them, those shown when they begin; newest, s
-        self._refused: dict[str, set[str]] = {}  # reasons by input, since one was used
+        self._usual: set[str] = set()  # those of `bad` that need no attention
+        self._lasting: dict[str, float] = {}  # those of `bad` shown only at first; newest, s
+        self._refused: dict[str, set[str]] = {}  # reasons by input since a message of it was used
         self._faults: Counter[str] = Counter()
-        self._newest_fault = "", -math.inf  # and when, s
+        self._newest_fault = "", -math.inf  # text, and time, s
         self._outlets: dict[Topic, Any] = {}
         self._arrivals: dict[Topic, float] = {}
         self._inputs: dict[Topic, str] = {}
@@ -69,9 +69,9 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self._lately = Lately()
         self._mismatched: dict[Topic, str] = {}
         self._notices: dict[str, tuple[str, float]] = {}
-        # Timers of the node's clock stand still when that clock does, and so would the report.
+        # A timer of the node's clock would stop the report when that clock stands still.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._phases: dict[str, str] = {}  # text of each at the last look
+        self._phases: dict[str, str] = {}  # text of each phase at the last check
         self._logged: dict[str, str] = {}
         self.advertise(topics.DIAGNOSTICS)
         self.every(REPORT_PERIOD, self.report)
@@ -79,7 +79,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         for problem in unknown_parameters(self, self._table):
             self.log(Level.WARN, problem)
         self._waits_for = UNCONFIGURED
-        self._made.clear()  # what was made so far is there as long as the node
+        self._made.clear()  # endpoints made so far live as long as the node
         if not self.values.get("managed"):
             self.configure()
             self.configured = True
@@ -95,20 +95,20 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.trigger_activate()
 
     def configure(self) -> None:
-        """Make all that the node works with; InputError where a parameter or a file is wrong."""
+        """Make the core and its resources; InputError if a parameter or a file is wrong."""
 
     def let_go(self) -> None:
-        """Undo `configure`, but for endpoints and timers, which are undone anyway."""
+        """Undo `configure`, except endpoints and timers, which the base undoes."""
 
     def begin(self) -> None:
-        """Open what the node holds while it works; InputError where that fails."""
+        """Acquire the resources of an active node; InputError if that fails."""
 
     def end(self) -> str | None:
-        """Let go of what the node holds while it works; gives what could not be kept and why."""
+        """Release the resources of an active node; returns what could not be saved and why."""
         return None
 
     def close(self) -> str | None:
-        """End all, once the node has stopped spinning; gives what could not be kept and why."""
+        """Release everything after spinning ended; returns what could not be saved and why."""
         problem = self.end() if self.active else None
         if self.configured:
             self.let_go()
@@ -120,23 +120,23 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         """The health of the node's parts, for `/diagnostics`."""
 
     def phases(self) -> Iterable[Status]:
-        """Text that is logged when it changes; nothing in it may count or grow old."""
+        """Texts that are logged when they change, so they contain no counts or ages."""
         return ()
 
     def begun(self, text: str, known: Iterable[Status] = ()) -> None:
-        """Log a line once the node is made; InputError for unused QoS overrides."""
+        """Log that the node is made; InputError for unused QoS overrides."""
         factory.refuse_unknown_overrides(self)
         self._logged = {phase.name: phase.text for phase in known}
         self.get_logger().info(printable(text))
 
     def done(self, response: Any, text: str, problem: str | None = None) -> Any:
-        """The response of a service, logged."""
+        """Fill and log the response of a service: `text`, or `problem` if it failed."""
         response.success, response.message = problem is None, problem or text
         self.log(Level.OK if problem is None else Level.WARN, response.message)
         return response
 
     def advertise(self, *outputs: Topic) -> None:
-        """Make publishers for `publish`; InputError where all would be typed, but cannot be."""
+        """Make publishers for `publish`; InputError if only typed ones are wanted but missing."""
         has_typed, all_typed = factory.is_installed(PACKAGE), not self.values.get(VECTORS, True)
         if all_typed and not has_typed:
             raise InputError(f"{VECTORS}: false, but {PACKAGE} is not installed")
@@ -148,7 +148,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self._made.append(partial(self.destroy_publisher, outlet))
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
-        """Subscribe, with `raw` to bytes; a second publisher of an input is reported."""
+        """Subscribe, with `raw` to CDR bytes; a second publisher of an input is reported."""
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             if not self.active:
@@ -158,7 +158,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             lost, by_turns = self._numbers.record(topic, info, now)
             if lost:
                 self.bad[f"{topic.name}: lost"] += lost
-            alone = by_turns and not raw  # a recorder takes topics of several nodes
+            alone = by_turns and not raw  # a recorder takes topics with several publishers
             if alone and (publishers := self.count_publishers(subscription.topic_name)) > 1:
                 self.notice(f"publishers {topic.name}", f"{publishers} publishers of {topic.name}")
             if topic in self._mismatched:
@@ -172,7 +172,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
 
         @wraps(take)
         def unpacked(*taken: Any) -> None:
-            # rclpy's EventsExecutor hands over a message and its info as one.
+            # rclpy's EventsExecutor passes a message and its info as one tuple.
             safe(*(taken[0] if len(taken) == 1 else taken))
 
         on_mismatch = partial(self._on_mismatch, topic)
@@ -184,7 +184,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
     def create_service(
         self, kind: Any, name: str, callback: Callable[[Any, Any], Any], **options: Any
     ) -> Any:
-        """As rclpy's, but what a request raises (rclpy's own would end the node) is counted."""
+        """As in rclpy, but an exception of a request is counted, and does not end the node."""
 
         async def safe(request: Any, response: Any) -> Any:
             self.calls[name] += 1
@@ -203,13 +203,13 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return service
 
     def every(self, seconds: float, callback: Callable[[], object]) -> None:
-        """Call back by the monotonic clock."""
+        """Call a callback at a period, s, of the monotonic clock."""
         safe = self.guarded(callback, getattr(callback, "__name__", "timer"))
         timer = self.create_timer(seconds, safe, clock=self._steady)
         self._made.append(partial(self.destroy_timer, timer))
 
     def on_clock_going_back(self, callback: Callable[[], None]) -> None:
-        """Call back when the node's clock jumps back, as /clock does when a bag starts over."""
+        """Call a callback when the node's clock jumps back, as /clock does when a bag restarts."""
         threshold = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
         )
@@ -224,7 +224,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self._made.append(handle.unregister)
 
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
-        """Publish messages that belong together; none when one would not be finite."""
+        """Publish messages that belong together; none if a number is not finite."""
         try:
             ready = [
                 topic_and_message
@@ -244,7 +244,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.published[topic] += 1
 
     def forget_endpoints(self) -> None:
-        """Destroy what was made since the list of it was cleared."""
+        """Destroy the endpoints and timers made since `_made` was cleared."""
         while self._made:
             self._made.pop()()
         for kept in (self._arrivals, self._inputs, self._mismatched):
@@ -253,18 +253,18 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self._numbers = MessageNumbers()
 
     def now_ns(self) -> int:
-        """The node's clock, for stamps of frames, /diagnostics and checks of stamps."""
+        """Time of the node's clock, ns, for stamps of frames and /diagnostics and for checks."""
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
-        """Tell this in the diagnostics for `LATELY` seconds, and log when it begins."""
+        """Show a text in the diagnostics for `LATELY` seconds, and log it when it begins."""
         _, noticed = self._notices.get(kind, ("", -math.inf))
         self._notices[kind] = text, self.steady_s()
         if self.steady_s() - noticed > LATELY:
             self.log(Level.WARN, text)
 
     def steady_s(self) -> float:
-        """A clock that no jump of time changes, s; tests replace it."""
+        """Time of the monotonic clock, s; tests replace it."""
         return time.monotonic()
 
     def health(
@@ -273,7 +273,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         shown_elsewhere: Mapping[str, int] | None = None,
         usual: Collection[str] = (),
     ) -> Health:
-        """Faults so far and `dropped` messages; `usual` reasons need no attention now."""
+        """Faults so far and `dropped` messages, by reason; `usual` reasons need no attention."""
         bad = {**self.bad, **(dropped or {})}
         lately = self._lately.update(self.steady_s(), {**bad, **(shown_elsewhere or {})})
         shown = {why: n for why, n in lately.items() if why not in self._usual.union(usual)}
@@ -307,7 +307,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return self._now_s(self.steady_s()) - max(arrived) if arrived else math.nan
 
     def why_silent(self, *either: Topic) -> str:
-        """Who publishes these inputs, and why nothing of it is used, in a few words; no counts."""
+        """The publishers of these inputs, and why their messages are not used, without counts."""
         reasons = []
         for topic, name in self._inputs.items():
             if topic not in either or not (publishers := self.count_publishers(name)):
@@ -330,12 +330,12 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return topics.SPEED
 
     def _now_s(self, steady: float) -> float:
-        """For ages, s: simulated time, which may pause; else that of the monotonic clock."""
+        """Time for ages, s: simulated time, which may pause, or else the monotonic clock."""
         simulated = self.get_clock().ros_time_is_active
         return self.now_ns() / NANOSECONDS if simulated else steady
 
     def report(self) -> None:
-        """Publish the diagnostics now."""
+        """Publish the diagnostics."""
         self.publish(self._diagnostics())
 
     def _diagnostics(self) -> Iterator[tuple[Topic, Any]]:
@@ -347,7 +347,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         yield topics.DIAGNOSTICS, self.status_message(told)
 
     def status_message(self, statuses: Iterable[Status]) -> Any:
-        """diagnostic_msgs/DiagnosticArray that says of which node and car its statuses are."""
+        """diagnostic_msgs/DiagnosticArray of statuses, with the names of node and car."""
         node = self.get_fully_qualified_name()
         named: Sequence[tuple[Any, ...]] = [
             (f"{node}: {status.name}", status.level, status.text, status.values)
@@ -356,7 +356,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return diagnostics(new_message, self.now_ns(), named, self.get_namespace())
 
     def _log_changes(self) -> None:
-        """Log a phase when it is new and has lasted since the last look."""
+        """Log a new phase if it has lasted since the last check."""
         for phase in self.phases() if self.configured else ():
             lasts = self._phases.get(phase.name) == phase.text
             self._phases[phase.name] = phase.text
@@ -365,7 +365,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
                 self.log(phase.level, phase.text)
 
     def log(self, level: Level, text: str) -> None:
-        """Log a line. rclpy ties the severity to the place of the call, so each has its own."""
+        """Log a line; rclpy ties the severity to the calling line, so each level has its own."""
         logger, text = self.get_logger(), printable(text)
         if level is Level.ERROR:
             logger.error(text)
@@ -375,9 +375,9 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             logger.info(text)
 
     def guarded(self, callback: Callable[..., object], name: str) -> Callable[..., None]:
-        """The callback, such that a bad message or a fault of ours cannot end the node."""
+        """The callback, wrapped so that a bad message or an own fault cannot end the node."""
 
-        @wraps(callback)  # rclpy gives what the signature asks for
+        @wraps(callback)  # rclpy passes the arguments of the signature
         def safe(*arguments: Any) -> None:
             try:
                 callback(*arguments)
@@ -392,34 +392,34 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
                     if now - reported > LATELY:
                         self.notice(why, f"not used from now on: {why}")
             except Exception as error:
-                # A car drives on: whatever this is, the next message deserves its chance.
+                # The car drives on: after any exception the next message is processed.
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
 
         return safe
 
     def count_fault(self, text: str, detail: str = "") -> None:
-        """Count a fault of our own; it is logged, with its detail, the first time only."""
+        """Count a fault of our own; only its first occurrence is logged, with its detail."""
         if not self.context.ok():
-            return  # the shutdown came in the middle of a callback
+            return  # shutdown during a callback
         if text not in self._faults:
             self.get_logger().error(printable(f"{text} {detail}".strip()))
         self._faults[text] += 1
         self._newest_fault = text, self.steady_s()
 
     def on_configure(self, state: Any) -> Any:
-        """Read parameters and files anew; what is wrong fails the transition."""
+        """Read parameters and files anew; the transition fails if one is wrong."""
         return self._transit(self._configure, super().on_configure, state)
 
     def on_activate(self, state: Any) -> Any:
-        """Begin to use messages and to publish."""
+        """Start to use messages and to publish."""
         return self._transit(self._activate, super().on_activate, state)
 
     def on_deactivate(self, state: Any) -> Any:
-        """Stop working; what was learned is kept, in the file too."""
+        """Stop working; the learned state is kept, and saved to its file."""
         return self._transit(self._deactivate, super().on_deactivate, state)
 
     def on_cleanup(self, state: Any) -> Any:
-        """Forget all that `configure` made; after a shutdown or a fault of our own too."""
+        """Undo `configure`; also called after a shutdown or a fault of our own."""
         return self._transit(self._clean_up, super().on_cleanup, state)
 
     on_shutdown = on_error = on_cleanup

@@ -37,20 +37,20 @@ PUBLISHES = (
     topics.BATTERY_CURRENT,
     topics.MOTOR_TORQUE,
 )
-BEGINNINGS = (BusCondition.CLOSED.value, WAITING)  # how every bus begins is no news
-LONGEST_STOP = 5.0  # s to wait for the driver; the thread is a daemon, so the process ends anyway
+BEGINNINGS = (BusCondition.CLOSED.value, WAITING)  # of every bus; not logged
+LONGEST_STOP = 5.0  # s to wait for the bus driver; a daemon thread cannot block the end
 
 
 class CanBridgeNode(GuardedNode):
-    """Reads a bus in one thread, and asks the car in another if `poll` allows that."""
+    """Reads a bus in one thread, and polls the car in another if `poll` is set."""
 
     def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
-        """Start to read; `record` takes every frame beside. May raise InputError."""
+        """Start to read; `record` also gets all frames. InputError: wrong parameter or file."""
         self._record = record
         super().__init__("can_bridge", **kwargs)
 
     def configure(self) -> None:
-        """Load the profile of the bus; it is opened by `begin`."""
+        """Load the profile of the bus; `begin` opens the bus."""
         self._profile = self._load_profile()
         self._refuse_idle_poll()
         self._bridge = self._make_bridge()
@@ -66,7 +66,7 @@ class CanBridgeNode(GuardedNode):
 
     def begin(self) -> None:
         """Open the bus or the log, and read it."""
-        if self._threads:  # a managed node that has worked before
+        if self._threads:  # a managed node that was active before
             self._bridge = self._make_bridge()
         self._source = self._open_source()
         self._threads = [self._start(self.guarded(self._read, "source"), "can")]
@@ -74,7 +74,7 @@ class CanBridgeNode(GuardedNode):
             self._threads.append(self._start(self._bridge.poller.run, "can poll"))
 
     def end(self) -> None:
-        """Stop asking and reading."""
+        """Stop polling and reading."""
         if self._bridge.poller is not None:
             self._bridge.poller.stop()
         if self._source is not None:
@@ -101,7 +101,7 @@ class CanBridgeNode(GuardedNode):
         return statuses
 
     def phases(self) -> list[Status]:
-        """Messages of /diagnostics, but for how every bus begins."""
+        """Messages of /diagnostics, except the initial conditions of every bus."""
         return [status for status in self._statuses(WELL) if status.text not in BEGINNINGS]
 
     def _start(self, run: Callable[[], None], name: str) -> threading.Thread:
@@ -118,7 +118,7 @@ class CanBridgeNode(GuardedNode):
         return load_profile(vehicle.can_profile)
 
     def _refuse_idle_poll(self) -> None:
-        """Raise InputError when `poll` is set where nothing could come of it."""
+        """Raise InputError if `poll` is set but cannot work."""
         values = self.values
         if not values["poll"]:
             return
@@ -141,7 +141,7 @@ class CanBridgeNode(GuardedNode):
         )
 
     def _listen_to_frames(self) -> None:
-        """Subscribe to the topic `channel`; InputError if that is not possible."""
+        """Subscribe to the topic `channel`; InputError if this is impossible."""
         if not is_installed(FRAMES):
             raise InputError(f"interface {FRAMES}: the package {FRAMES} is not installed")
         self._frames = frame_topic(self.values["channel"])
@@ -173,8 +173,8 @@ class CanBridgeNode(GuardedNode):
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
 
     def _read(self) -> None:
-        """Read the source until it ends; a log that is shorter than a judgement is judged then."""
-        assert self._source is not None  # opened before its thread
+        """Read the source until it ends; a log too short for a check is checked at its end."""
+        assert self._source is not None  # opened before its thread starts
         self._source.run()
         if isinstance(self._source, LogPlayer):
             with self._lock:
@@ -232,7 +232,7 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
 
 
 def poll_status(poll: PollStatus, experimental: bool) -> Status:
-    """Status of asking the car."""
+    """Status of polling the car."""
     text = f"experimental profile: {poll.text}" if experimental else poll.text
     level = Level.OK if poll.ok and not experimental else Level.WARN
     return Status("polling", level, text, dict(poll.counters))

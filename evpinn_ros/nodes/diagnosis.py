@@ -1,4 +1,4 @@
-"""Status of a node, as /diagnostics shows it, by pure functions in a module for each node."""
+"""Statuses of nodes for /diagnostics; a module for each node makes them by pure functions."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 from evpinn_ros.topics.messages import Level
 
-MISSING_AFTER = 3.0  # s without a message of the leading input
-LATELY = 10.0  # s for which something that happened is shown
-FEW = 3  # messages lost lately that are not worth a warning
+MISSING_AFTER = 3.0  # s without a message of the main input
+LATELY = 10.0  # s for which an event is shown
+FEW = 3  # lost messages that need no warning
 
 
 class Status(NamedTuple):
-    """One status of /diagnostics: of which part, how bad, one sentence, and the numbers."""
+    """One status of /diagnostics: name of the part, level, one sentence, and values by key."""
 
     name: str
     level: Level
@@ -26,12 +26,12 @@ class Status(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Faults of a node."""
+    """Faults and counters of a node."""
 
-    bad: Mapping[str, int]  # messages not used, by reason
+    bad: Mapping[str, int]  # unused messages, by reason
     faults: Mapping[str, int]  # of our own, by text
-    notices: tuple[str, ...] = ()  # what a person should know now, a few words each
-    fault: str | None = None  # the newest of our own, None when it is longer ago than `LATELY`
+    notices: tuple[str, ...] = ()  # recent events for people, a few words each
+    fault: str | None = None  # the newest of our own within `LATELY`, or None
     calls: Mapping[str, int] = field(default_factory=dict)  # of services, by name
 
 
@@ -39,23 +39,23 @@ WELL = Health({}, {})
 
 
 class Condition(NamedTuple):
-    """Condition of a node whose core is kept in a file."""
+    """Condition of a node that saves its core in a file."""
 
     health: Health  # of the node
-    age: float  # s since the last message of its leading input, NaN before the first
-    jumps: int  # times that time went back
-    file_problem: str | None  # why the file was not used or not written, None if all is well
-    silent: str = ""  # who publishes its leading input, and why nothing of it is used
+    age: float  # s since the last message of its main input, NaN before the first
+    jumps: int  # number of jumps of time back
+    file_problem: str | None  # why the file was not used or not written, or None
+    silent: str = ""  # publishers of its main input, and why it is not used
 
 
 class Lately:
-    """Counters of the last seconds, from counters since the start."""
+    """Counts of the last seconds, from counters since the start."""
 
     def __init__(self) -> None:
         self._looks: deque[tuple[float, Mapping[str, int]]] = deque([(-math.inf, {})])
 
     def update(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
-        """Counts added in the last `LATELY` seconds by `now`, s, of a monotonic clock."""
+        """Counts added in the last `LATELY` seconds before `now`, s of a monotonic clock."""
         self._looks.append((now, dict(counts)))
         while self._looks[1][0] <= now - LATELY:
             self._looks.popleft()
@@ -65,14 +65,14 @@ class Lately:
 
 
 def unused_notice(lately: Mapping[str, int]) -> str | None:
-    """One line of what was lost or not used lately, None where that is next to nothing."""
+    """One line on recently lost or unused messages, None if there are hardly any."""
     if sum(lately.values()) <= FEW:
         return None
     return "not used lately: " + ", ".join(f"{why} {n}" for why, n in sorted(lately.items()))
 
 
 def with_health(status: Status, health: Health) -> Status:
-    """A status with counters and notices of its node; a fault of our own outweighs all else."""
+    """A status with counters and notices of its node; a fault of our own makes it an error."""
     counters = {"bad": health.bad, "fault": health.faults, "calls": health.calls}
     values = dict(status.values)
     for name, counts in counters.items():
@@ -86,10 +86,10 @@ def with_health(status: Status, health: Health) -> Status:
 
 
 def flat(name: str, values: Mapping[str, object]) -> dict[str, object]:
-    """Counters and the like as values of a status: `name.reason`."""
+    """Nested values as values of a status, with keys `name.reason`."""
     return {f"{name}.{reason}": value for reason, value in sorted(values.items())}
 
 
 def rounded(number: float) -> object:
-    """A number as people read it."""
+    """A number rounded for people."""
     return number if math.isnan(number) else round(number, 3)

@@ -1,4 +1,4 @@
-"""Discovery of nodes and planners that start one after the other."""
+"""Faster discovery of nodes and planners that start one after the other."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ FOUND_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # Fast DDS reads it from the workin
 def announce_often() -> None:
     """Have Fast DDS announce this process and its children every 0.2 s, not 3 s.
 
-    Nodes that start one after the other otherwise miss each other every third time
-    (docs/project/upstream.md). Call it before ROS starts; a user's profiles and other middleware
-    are left alone.
+    Otherwise nodes that start one after the other miss each other in one of three starts
+    (docs/project/upstream.md). Call it before ROS starts; it does not change a user's profiles or
+    other middleware.
     """
     if not any(os.environ.get(name) for name in THEIRS) and not Path(FOUND_HERE).exists():
         os.environ[PROFILES] = str(share_directory() / "config" / "fastdds.xml")

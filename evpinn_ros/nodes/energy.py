@@ -61,24 +61,24 @@ from evpinn_ros.topics.readings import ChargeScale, battery_message, to_reading
 from evpinn_ros.topics.settings import jump_rule
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
-COUNT_PERIOD = 0.2  # s, as the estimator hands on; many powers cost as much as one
+COUNT_PERIOD = 0.2  # s, as the estimator publishes; many powers cost as much as one
 
 
 class EnergyNode(GuardedNode):
-    """Meters one car and answers plans; see `docs` for its topics, services and parameters."""
+    """Meters the energy of one car and answers plans; its interfaces are in `docs`."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("energy", **kwargs)
 
     def configure(self) -> None:
-        """Start from the energy file or at zero."""
+        """Start from the energy file, or at zero."""
         vehicle = load_vehicle(self.values["vehicle"])
         integrator, max_gap = Integrator(self.values["integrator"]), self.values["max_gap"]
         meter = EnergyMeter(load_rknn(), integrator=integrator, max_gap=max_gap)
         limits = CarLimits.of(vehicle)
         self.account = EnergyAccount(meter, vehicle.key, vehicle.battery_capacity, limits)
         self._vehicle = vehicle
-        # The one tells what forecasts rest on, the other answers in its thread.
+        # The first gives the basis of forecasts, the second answers in the thread of the desk.
         self.forecaster, self._desk = Forecaster(vehicle), PlanDesk(Forecaster(vehicle))
         account = self.account
         anew, hold = (
@@ -87,7 +87,7 @@ class EnergyNode(GuardedNode):
         )
         actions = Actions(self._reset, anew, hold)
         self.kept = Keeper(self, account, Half.ENERGY, (topics.POWER_SMOOTHED,), actions)
-        # Of its own: in a fast replay readings are seconds ahead of power.
+        # A separate guard: in a fast replay readings are seconds ahead of power.
         self._reading_guard, self._charge_scale = StampGuard(topics.SPEED), ChargeScale()
         self.kept.guards.append(self._reading_guard)
         self._standby = Standby(self.steady_s())
@@ -111,7 +111,7 @@ class EnergyNode(GuardedNode):
         self.begun(f"{vehicle.key} {self.kept.start}; waiting for power/smoothed", self.phases())
 
     def let_go(self) -> None:
-        """Stop answering plans, and leave the state file to others."""
+        """Stop answering plans, and release the state file."""
         self._desk.close()
         self.kept.release()
 
@@ -127,12 +127,12 @@ class EnergyNode(GuardedNode):
         ]
 
     def phases(self) -> list[Status]:
-        """Metered input, and the basis of forecasts."""
+        """The metered input, and the basis of forecasts."""
         condition = self.kept.condition(WELL)
         return energy_phases(self.account, self.forecaster.basis, condition)
 
     def end(self) -> str | None:
-        """Write totals and account; returns why they could not be written."""
+        """Save totals and account; returns why they could not be saved."""
         self.count()
         self.account.flush()
         return self.kept.save()
@@ -148,7 +148,7 @@ class EnergyNode(GuardedNode):
             self.account.add_power(admitted)
 
     def _count_missed(self, powers: list[MeasuredPower]) -> None:
-        """Count what the battery told while the estimator was away."""
+        """Count measured powers of the time without an estimator."""
         if not powers:
             return
         self.account.add_measured(*map(np.array, zip(*powers, strict=True)))
@@ -156,7 +156,7 @@ class EnergyNode(GuardedNode):
         self._publish_account(self.account.state)
 
     def count(self) -> None:
-        """Count what came, and publish the states, and the summary once a second of stamps."""
+        """Count new powers and readings; publish states, and once a second the summary."""
         while (due_ns := self.account.summary_due_ns()) != LATER:
             self._publish_account(*self.account.count(due_ns).rows())
         self._publish_account(*self.account.count().rows())
@@ -173,7 +173,7 @@ class EnergyNode(GuardedNode):
             shown = (*states, summary)
         if not shown:
             return
-        self.kept.file.append()  # before they are shown: after a kill nothing is less, or surer
+        self.kept.file.append()  # before publishing: after a kill no total falls or gets surer
         for output in shown:
             self.publish(output_messages(new_message, output))
 
@@ -189,7 +189,7 @@ class EnergyNode(GuardedNode):
         topic = self.stream(topic)
         rule = jump_rule(self.values)
         for passed in self._reading_guard.admit(topic, reading.stamp_ns, reading, rule):
-            if isinstance(passed, Jump):  # what the policy says is done when power jumps
+            if isinstance(passed, Jump):  # the policy applies to jumps of power
                 self._after_counting(self.account.begin_readings_anew)
             elif self.account.admission.admits(passed):
                 self.account.add_reading(passed)
@@ -214,15 +214,15 @@ class EnergyNode(GuardedNode):
         self._learn(lambda forecaster: forecaster.set_conditions(conditions))
 
     def _learn(self, update: Job) -> None:
-        """Let both forecasters know something; what is wrong raises before the second has it."""
+        """Update both forecasters; a wrong update raises before it reaches the second."""
         update(self.forecaster)
         self._desk.tell(update)
 
     def _on_plan(self, type_name: str, data: bytes) -> None:
-        """Have a plan answered; its bytes are unpacked by the desk, beside what counts."""
+        """Ask the desk for an answer to a plan; its thread also unpacks the bytes."""
         job = partial(self._answer_plan, type_name, data, self._moment())
         if not self._desk.ask(self.guarded(job, "plan")):
-            header = decode("std_msgs/msg/Header", data)  # with which every plan begins
+            header = decode("std_msgs/msg/Header", data)  # the first field of every plan
             self._refuse(header, "too many plans are waiting")
 
     def _answer_plan(
@@ -232,7 +232,7 @@ class EnergyNode(GuardedNode):
         moment: Moment,
         forecaster: Forecaster,
     ) -> None:
-        """Answer a plan or refuse it with the reason, whatever happens."""
+        """Answer a plan, or refuse it with the reason, even after an internal fault."""
         header = new_message("std_msgs/msg/Header")
         try:
             header = decode("std_msgs/msg/Header", data)
@@ -247,11 +247,11 @@ class EnergyNode(GuardedNode):
             raise
         self.publish(messages)
         self.plans.answer(answer.charge)
-        if asked.together is None:  # a plan that stands beside others is none to follow yet
+        if asked.together is None:  # a plan asked together with others is not followed yet
             self.account.follow(plan, answer.forecast)
 
     def _speed(self) -> float:
-        """Speed at which a path without times is driven, m/s."""
+        """Assumed speed of a path without times, m/s."""
         nominal = self._vehicle.nominal_speed
         return self.values["nominal_speed"] or (NOMINAL_SPEED if math.isnan(nominal) else nominal)
 
@@ -267,7 +267,7 @@ class EnergyNode(GuardedNode):
     def _plan_messages(
         self, header: Any, answer: PlanAnswer, basis: Basis
     ) -> Iterator[tuple[Topic, Any]]:
-        """The answer to a plan; the header is echoed, so that the planner knows its plan."""
+        """Messages of an answer to a plan, with the header by which the planner knows it."""
         result = answer.forecast
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
@@ -292,9 +292,9 @@ class EnergyNode(GuardedNode):
         return Moment(charge, capacity, self.now_ns(), deepcopy(self.account.battery))
 
     def _serve_plans(self) -> None:
-        from rclpy.action import ActionServer, CancelResponse  # here: none without the package
+        from rclpy.action import ActionServer, CancelResponse  # here: only with evpinn_msgs
 
-        # A call that waits for its answer keeps others of an exclusive group from being served.
+        # In an exclusive group, a call that waits for its answer would block all others.
         group = ReentrantCallbackGroup()
         kind = message_class(PLAN_SERVICE)
         self.create_service(kind, "~/estimate_plan", self._on_estimate, callback_group=group)
@@ -319,7 +319,7 @@ class EnergyNode(GuardedNode):
         return call.write(response)
 
     async def _on_batch(self, goal: Any) -> Any:
-        """Answer a goal plan by plan, other plans in between, all with the car of the first."""
+        """Answer a goal plan by plan, all with the model of the first; others may come between."""
         self.calls["~/estimate_plans"] += 1
         kind = message_class(PLAN_ACTION)
         call, moment = PlanCall(goal.request, BATCH, self.plans), self._moment()
@@ -340,7 +340,7 @@ class EnergyNode(GuardedNode):
         return call.write(kind.Result())
 
     async def _at_the_desk(self, call: PlanCall, job: Job) -> None:
-        """Have a job on a call done in the thread of the desk; its plans are refused if not."""
+        """Run a job of a call in the thread of the desk; refuse its plans if it cannot run."""
         if not self.active:
             call.refuse_all(NOT_ACTIVE)
             return
@@ -355,7 +355,7 @@ class EnergyNode(GuardedNode):
                 raise
             finally:
                 answered.set_result(None)
-                executor.wake()  # a future wakes only its callbacks; `await` of rclpy sets none
+                executor.wake()  # rclpy's `await` adds no callback to wake the executor
 
         if self._desk.ask(self.guarded(and_tell, "estimate_plan")):
             await answered

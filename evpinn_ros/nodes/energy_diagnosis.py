@@ -1,4 +1,4 @@
-"""Status of the energy node, decided without ROS."""
+"""Statuses of the energy node, without ROS."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def meter_status(account: EnergyAccount, condition: Condition) -> Status:
 
 
 def energy_phases(account: EnergyAccount, basis: Basis, condition: Condition) -> list[Status]:
-    """Text that is logged when it changes: nothing in it counts."""
+    """Texts that are logged when they change, so they contain no counts."""
     rest = f"forecasts rest on the {basis.value}"
     meter = Status("meter", *_meter_verdict(account, condition), {})
     return [meter, Status("plan", Level.OK, rest, {})]
@@ -63,7 +63,7 @@ def _meter_verdict(account: EnergyAccount, condition: Condition) -> tuple[Level,
 
 
 def _dropout_values(reconciled: Reconciled | None) -> dict[str, object]:
-    """The last battery dropout: what was predicted, what is known, what became of it."""
+    """Values of the last battery dropout: its prediction, energy by charge, and reconciliation."""
     if reconciled is None:
         return {}
     dropout = reconciled.dropout
@@ -80,7 +80,7 @@ def _dropout_values(reconciled: Reconciled | None) -> dict[str, object]:
 
 
 def charge_status(account: EnergyAccount) -> Status:
-    """State of the battery's charge, and the distance it suffices for."""
+    """Status of the battery's charge and of the distance to empty."""
     summary = account.summary()
     values = {
         "state_of_charge": rounded(summary.charge.value),
@@ -111,18 +111,18 @@ def _wh(joules: float) -> object:
 
 
 def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
-    """Status of answering plans, on a basis and with the air of now."""
+    """Status of the planning, with the present basis and air."""
     outside = zip(("air_celsius", "air_pascal", "head_wind_mps"), air, strict=True)
     values = {
         "answered": plans.answered,
         "refused": plans.refused,
         "forecasts_from": basis.value,
-        # What is unknown is taken from the vehicle file.
+        # Unknown values are taken from the vehicle file.
         **{name: "unknown" if value is None else rounded(value) for name, value in outside},
         "charge_after": rounded(plans.charge_after.value),
         "charge_after_sigma": rounded(plans.charge_after.sigma),
     }
-    if plans.problem is not None:  # its asker has the reason, and the car is well
+    if plans.problem is not None:  # the planner has the reason; the car has no fault
         values["last_refusal"] = plans.problem
     if basis is Basis.VEHICLE_FILE:
         text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
@@ -131,15 +131,15 @@ def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
 
 
 def answered_status(answer: PlanAnswer) -> Status:
-    """The status of a plan that is answered: its energy, and how it compares with others, J."""
+    """The status of an answered plan: its energy and its differences from other plans, J."""
     forecast = answer.forecast
     values = {"energy": forecast.energy[-1], "sigma": forecast.sigma[-1]}
-    values["conditions"] = len(answer.conditions)  # the planner's; the rest is the last known
+    values["conditions"] = len(answer.conditions)  # the planner's; others are the last known
     values |= {f"assumed/{name}": value for name, value in answer.assumed.items()}
     if answer.charge.known:
         values |= {"battery": answer.charge.value, "battery_sigma": answer.charge.sigma}
     for name, apart in answer.differences.items():
         values |= {f"difference/{name}": apart.value, f"difference_sigma/{name}": apart.sigma}
-    # A number of numpy would write its type beside its digits.
+    # The text of a numpy number would contain its type.
     texts = {key: repr(float(value)) for key, value in values.items()}
     return Status("plan", Level.OK, "answered", texts)

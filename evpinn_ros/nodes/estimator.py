@@ -1,4 +1,4 @@
-"""The node `estimator`: readings in, power and parameters out. The work is `OnlineEstimator`'s."""
+"""The node `estimator`: readings in, power and parameters out, computed by `OnlineEstimator`."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "estimator
 
 
 class EstimatorNode(GuardedNode):
-    """Learns one car; see `docs` for its topics, services and parameters."""
+    """Learns one car; `docs` has its topics, services and parameters."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Start from the file, or anew; `kwargs` go to rclpy's Node.
+        """Start from the state file, or anew; `kwargs` go to rclpy's Node.
 
         Raises:
-            InputError: a parameter is wrong.
+            InputError: a parameter or a file is wrong.
         """
         super().__init__("estimator", **kwargs)
 
     def configure(self) -> None:
         """Start from the state file or the vehicle's priors."""
-        # One thread for arithmetic: other programs need the cores, and sums keep their order.
+        # One BLAS thread: other programs need the cores, and sums keep their order.
         limit_blas_threads()
         self._vehicle = load_vehicle(self.values["vehicle"])
         self._worker = ThreadWorker(time.perf_counter, wait=self.values["wait_for_update"])
@@ -83,33 +83,33 @@ class EstimatorNode(GuardedNode):
         return estimator_phases(self.estimator.status(), self.kept.condition(WELL))
 
     def publish_model(self) -> None:
-        """Tell what forecasts need of the car; latched, so a late listener has it at once."""
+        """Publish the car model for forecasts; latched, so a late subscriber has it at once."""
         model = self.estimator.model()
         if model is not None:
             self.publish([(topics.MODEL, model_message(new_message, self._vehicle.key, model))])
 
     def let_go(self) -> None:
-        """Stop the thread of the updates, and leave the state file to others."""
+        """Stop the thread of the updates, and release the state file."""
         self._worker.close()
         self.kept.release()
 
     def end(self) -> str | None:
-        """Write what was learned; returns why it could not be written."""
+        """Save the learned state; returns why it could not be saved."""
         return self.kept.save()
 
     def _reset(self) -> str:
-        """Forget all that was learned, also what the file held at the start."""
+        """Forget everything learned, also the state loaded at the start."""
         self.kept.file.forget()
         self.publish_model()
         return f"started again from the vehicle file {self._vehicle.key}"
 
     def _begin_anew(self) -> None:
-        """Be as at the start."""
+        """Return to the state of the start."""
         self._admission.begin_anew()
         self.kept.file.start_over()
 
     def _after_jump(self) -> None:
-        """Join nothing to what came before a jump of time."""
+        """After a jump of time: join no later reading to earlier ones."""
         self._admission.begin_anew()
         self.estimator.handle_time_jump()
 
@@ -125,7 +125,7 @@ class EstimatorNode(GuardedNode):
                 self._add(item)
 
     def _add(self, reading: Reading) -> None:
-        """Let the estimator have a reading, and publish what it says."""
+        """Give the estimator a reading, and publish its outputs."""
         now, completed = self.estimator.add_reading(reading, breakdowns=True)
         if now is not None:
             self.publish(estimate_messages(new_message, now))
@@ -145,8 +145,8 @@ class EstimatorNode(GuardedNode):
 
 
 def _usual(status: EstimatorStatus) -> tuple[str, ...]:
-    """Reasons for dropping readings that are usual and no fault.
+    """Usual reasons for dropping readings, which are no fault.
 
-    A battery may tell its state of charge alone, as long as others tell power.
+    A battery message may have only a state of charge, as long as others have power.
     """
     return () if status.activity is Activity.PREDICTING else ("battery_unmeasured",)

@@ -1,4 +1,4 @@
-"""Status of the estimator, decided without ROS."""
+"""Statuses of the estimator, without ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from evpinn_ros.topics.messages import Level
 
 WAITING, NO_SPEED = "waiting for vehicle/speed", "no vehicle/speed"
 LEARNING = "learning"
-OVERRUN_SHARE = 0.1  # of updates that may take longer than the second they have
+OVERRUN_SHARE = 0.1  # of updates that may take longer than their second
 STUCK = {
     SPEED_STUCK: "vehicle/speed is stuck at one value: nothing is learned",
     BATTERY_STUCK: "battery/state is stuck at one value: it is not used, nothing is learned",
@@ -25,7 +25,7 @@ RECENT = 60  # updates whose median duration is shown
 
 
 def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
-    """The health of the estimator, from the status of its core."""
+    """The health of the estimator from the status of its core."""
     recent = status.durations[-RECENT:]
     bands = {kind: rounded(share) for kind, share in status.band_coverage.items()}
     values = {
@@ -55,7 +55,7 @@ def estimator_status(status: EstimatorStatus, condition: Condition) -> Status:
 
 
 def estimator_phases(status: EstimatorStatus, condition: Condition) -> list[Status]:
-    """Text that is logged when it changes: nothing in it counts."""
+    """Texts that are logged when they change, so they contain no counts."""
     learner = status.report
     valid = [name for name, trust in status.trust.items() if trust is Trust.VALID]
     phases = [Status("estimate", *_estimator_verdict(status, condition), {})]
@@ -94,7 +94,7 @@ def _estimator_verdict(status: EstimatorStatus, condition: Condition) -> tuple[L
 
 
 def _detections(report: LearnerReport) -> dict[str, object]:
-    """Detections of the car and its signals."""
+    """Detections in the car and its signals, as values."""
     values: dict[str, object] = {
         "suspicion": report.suspicion or "none",
     }
@@ -107,7 +107,7 @@ def _detections(report: LearnerReport) -> dict[str, object]:
 
 
 def _lag(status: EstimatorStatus) -> dict[str, object]:
-    """Lag of speed to battery, and what of it is taken out."""
+    """Lag of speed behind the battery, and its corrected part."""
     if status.lag is None:
         return {"lag_s": "unknown"}
     values = {"lag_s": status.lag.seconds, "lag_std_s": status.lag.sigma}

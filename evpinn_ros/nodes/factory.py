@@ -27,18 +27,18 @@ from evpinn_ros.topics.messages import BadMessage
 OVERRIDABLE = tuple(
     getattr(QoSPolicyKind, name) for name in ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY")
 )
-"""Policies that parameters may override: all that `Qos` knows, and rclpy's own three."""
+"""Policies that parameters may override: those of `Qos`, and rclpy's default three."""
 
 
 @cache
 def is_installed(package: str) -> bool:
-    """True if a package of messages is there, and not merely its source in a checkout."""
+    """True if a package of messages is built and installed; its source in a checkout is not."""
     spec = find_spec(package)
     return spec is not None and spec.origin is not None
 
 
 def installed(topics: Iterable[Topic]) -> list[Topic]:
-    """Topics whose messages are installed: those of Autoware may not be."""
+    """Those topics whose messages are installed; messages of Autoware may be missing."""
     return [topic for topic in topics if is_installed(topic.package)]
 
 
@@ -50,12 +50,12 @@ def message_class(type_name: str) -> Any:
 
 
 def new_message(type_name: str, /, **fields: Any) -> Any:
-    """A message for rclpy, as `messages.NewMessage` wants it."""
+    """A message for rclpy: the `messages.NewMessage` of rclpy."""
     return message_class(type_name)(**fields)
 
 
 def decode(type_name: str, data: bytes) -> Any:
-    """The message at the beginning of CDR bytes."""
+    """The message at the start of CDR bytes."""
     try:
         return deserialize_message(data, message_class(type_name))
     except RuntimeError as error:
@@ -73,7 +73,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def advertise(node: Node, topic: Topic, on_mismatch: Callable[[str], None] | None = None) -> Any:
-    """A publisher with QoS overrides; `on_mismatch` takes a policy that shuts a subscriber out."""
+    """A publisher with QoS overrides; `on_mismatch` gets a policy that excludes a subscriber."""
     events = PublisherEventCallbacks(**_mismatch(on_mismatch))
     return node.create_publisher(
         message_class(topic.type_name),
@@ -106,14 +106,14 @@ def subscribe(
 
 
 def _overriding(node: Node, topic: Topic, end: str) -> QoSOverridingOptions | None:
-    """Options that declare four parameters of an endpoint, where one of them was given."""
+    """Options that declare the four QoS parameters of an endpoint, if one of them was given."""
     start = f"qos_overrides.{node.resolve_topic_name(topic.name)}.{end}."
     given = any(name.startswith(start) for name in node._parameter_overrides)
     return QoSOverridingOptions(OVERRIDABLE) if given else None
 
 
 def refuse_unknown_overrides(node: Node) -> None:
-    """InputError for an override of an endpoint here with no known policy."""
+    """Raise InputError for an override of an endpoint of this node with an unknown policy."""
     given = {name for name in node._parameter_overrides if name.startswith("qos_overrides.")}
     for name in sorted(given):
         endpoint, _, policy = name.rpartition(".")
@@ -123,7 +123,7 @@ def refuse_unknown_overrides(node: Node) -> None:
 
 
 def _mismatch(tell: Callable[[str], None] | None) -> dict[str, Any]:
-    """Callbacks for a mismatched policy alone: looking for wrong types doubles every wait."""
+    """Callbacks only for a mismatched policy: those for wrong types double every wait."""
     if tell is None:
         return {}
 

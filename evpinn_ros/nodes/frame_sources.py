@@ -1,4 +1,4 @@
-"""Sources of CAN frames beside a bus (`can.bus`): a log, and a topic of another node."""
+"""Sources of CAN frames other than a bus (`can.bus`): a log, and a topic of another node."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ DEPTH = 1000  # frames, half a second of a busy bus
 
 
 class LogPlayer:
-    """Plays a CAN log as if it were a bus; `run` is for a thread of its own."""
+    """Plays a CAN log as if it were a bus; call `run` in a thread of its own."""
 
     def __init__(
         self, path: Path, rate: float, delay: float, on_frame: Callable[[CanFrame], None]
     ) -> None:
-        """Find a log to play `delay` s later at `rate` (0: at once); or InputError.
+        """Open a log to play after `delay` s at `rate` (0: as fast as possible); or InputError.
 
         `on_frame` is called in the thread of `run`, and must not raise.
         """
-        # Here, for what reads logs and bags would take 6 MB in a car, which plays none.
+        # Imported here: readers of logs take 6 MB, and a car plays none.
         from evpinn_ros.logs.bus_sources import open_can_log
 
         self._log, self._rate, self._delay = open_can_log(path), rate, delay
         self._on_frame = on_frame
         self._stop = threading.Event()
-        self.problem: str | None = None  # why the log was not played to its end
-        self.text = f"playing {path}"  # how far it is, in a few words
+        self.problem: str | None = None  # why the log was not played to its end, or None
+        self.text = f"playing {path}"  # progress, in a few words
         self.newest_ns = 0  # stamp of the newest frame, 0 before the first
 
     def run(self) -> None:
@@ -44,7 +44,7 @@ class LogPlayer:
             self._play()
         except InputError as error:
             self.problem = str(error)
-        except OverflowError:  # no system waits so long
+        except OverflowError:  # longer than any system can wait
             self.problem = f"{self._log.path}: a stamp beyond all time, frame {self._log.count}"
         self.problem = self.problem or self._log.problem
         self.text = f"{self._log.path}: at its end after {self._log.count} frames"
@@ -69,17 +69,17 @@ class LogPlayer:
 
 
 def frame_topic(name: str) -> Topic:
-    """The topic of this name."""
+    """The topic of CAN frames with this name."""
     return Topic(name, "the car", "frames of the bus", type_name=FRAME_TYPE, depth=DEPTH)
 
 
 class FrameTopic:
-    """A source of frames as `BusReader` is; what another node receives is given to `take`."""
+    """A source of frames like `BusReader`; `take` gets the messages of another node."""
 
     def __init__(
         self, name: str, on_frame: Callable[[CanFrame], None], publishers: Callable[[], int]
     ) -> None:
-        """Begin; `publishers` counts those of the topic of this name."""
+        """Begin; `publishers` returns the number of publishers of the topic with this name."""
         self._name, self._on_frame, self._publishers = name, on_frame, publishers
         self._counters: Counter[str] = Counter()
         self._newest_s: float | None = None
@@ -87,7 +87,7 @@ class FrameTopic:
         self._stop = threading.Event()
 
     def take(self, message: Any, now_ns: int, steady_s: float) -> None:
-        """One can_msgs/Frame; `now_ns` stamps a frame that has no stamp."""
+        """Take one can_msgs/Frame; `now_ns` stamps a frame without a stamp."""
         self._newest_s = steady_s
         if message.is_error:
             self._counters["error_frames"] += 1
@@ -101,7 +101,7 @@ class FrameTopic:
         self._on_frame(CanFrame.of_ros(message, now_ns))
 
     def run(self) -> None:
-        """Wait until `stop`: the frames come without a thread."""
+        """Wait until `stop`: the frames need no thread."""
         self._stop.wait()
 
     def stop(self) -> None:
@@ -109,7 +109,7 @@ class FrameTopic:
         self._stop.set()
 
     def status(self, steady_s: float) -> BusStatus:
-        """State of the bus, as far as the topic shows it."""
+        """State of the bus, as far as known from the topic."""
         problem = None
         if not self._publishers():
             condition, problem = BusCondition.CLOSED, f"no publisher of {self._name}"

@@ -1,4 +1,4 @@
-"""Keeps the core of a node over restarts and jumps of time: its file, services and stamps."""
+"""Keeps the core of a node across restarts and jumps of time: file, services and stamps."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ ANEW = {Half.LEARNED: "begins with the vehicle file", Half.ENERGY: "counts from 
 
 
 class Actions(NamedTuple):
-    """What a node does with its core."""
+    """Actions of a node on its core."""
 
-    reset: Callable[[], str]  # as a person asks for; gives the answer
-    begin_anew: Callable[[], object]  # time jumped, and the policy is `reset`
-    # time jumped; join nothing across, and keep what was learned or counted
+    reset: Callable[[], str]  # on request by a service; returns the answer
+    begin_anew: Callable[[], object]  # after a jump of time, if the policy is `reset`
+    # after a jump of time: join nothing across it, and keep the learned or counted state
     hold: Callable[[], object]
 
 
 class Keeper:
-    """Loads and saves the core of a node, and decides on jumps of time."""
+    """Loads and saves the core of a node, and handles jumps of time."""
 
     def __init__(
         self,
@@ -42,18 +42,18 @@ class Keeper:
         leaders: tuple[Topic, ...],
         actions: Actions,
     ) -> None:
-        """Load the core's state; stamps of the first of `leaders` decide on jumps of time.
+        """Load the core's state; stamps of the first of `leaders` show jumps of time.
 
-        InputError: a manager asks, and the file cannot be written, or another process learns into
+        InputError for a managed node: the file cannot be written, or another process learns into
         it.
         """
         if isinstance(before := getattr(node, "kept", None), Keeper):
-            before.release()  # of a configuration that failed
+            before.release()  # of a failed configuration
         self._node, self._leaders, self._actions = node, leaders, actions
         self._name = node.values[FILES[half]]
         self.file = StateFile(state_path(self._name), core, half)  # of the core
-        self.guard = StampGuard(leaders[0])  # of the stamps that the core is given
-        self.guards = [self.guard]  # all guards of stamps of the node
+        self.guard = StampGuard(leaders[0])  # of the core's stamps
+        self.guards = [self.guard]  # all guards of the node's stamps
         self._clock_went_back = False  # since the last jump
         if unwritable := self.file.why_unwritable():
             if node.values["managed"]:
@@ -62,7 +62,7 @@ class Keeper:
         self.file.restore()
         if self.file.busy is not None and node.values["managed"]:
             raise InputError(self.file.busy)
-        self.start = self.file.start or ANEW[half]  # what it begins with, in a few words
+        self.start = self.file.start or ANEW[half]  # its initial state, in a few words
         if (problem := self.file.problem) is not None:
             node.log(Level.WARN, f"{node.get_name()} {self.start}: {problem}")
         node.create_service(Trigger, "~/reset", self._on_reset)
@@ -71,16 +71,16 @@ class Keeper:
         node.on_clock_going_back(self._on_clock_going_back)
 
     def release(self) -> None:
-        """Leave the file to others."""
+        """Release the file."""
         self.file.release()
 
     def condition(self, health: Health) -> Condition:
-        """Condition of the node, whose health is given."""
+        """Condition of the node with this health."""
         age, silent = self._node.age(*self._leaders), self._node.why_silent(*self._leaders)
         return Condition(health, age, self.guard.jumps, self.file.problem, silent)
 
     def in_order(self, topic: Topic, stamp_ns: int, item: Any) -> Iterator[Any]:
-        """Yields items in order, each once its stamp is not in doubt; handles time jumps first."""
+        """Yields items in order, each once its stamp is confirmed; handles time jumps first."""
         for ready in self.guard.admit(topic, stamp_ns, item, jump_rule(self._node.values)):
             if isinstance(ready, Jump):
                 self._on_jump(ready)
@@ -88,7 +88,7 @@ class Keeper:
                 yield ready
 
     def save(self) -> str | None:
-        """Write the state, if there is a file for it; gives the reason when that fails."""
+        """Write the state if it has a file; returns the reason if that fails."""
         return self.file.save() if self._name else None
 
     def _on_clock_going_back(self) -> None:

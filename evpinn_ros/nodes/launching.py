@@ -1,6 +1,6 @@
-"""Shared parts of the launch files; a wrong argument ends the launch before anything starts.
+"""Shared parts of the launch files; a wrong argument ends a launch before any node starts.
 
-For launch files alone, since `launch` comes with a ROS 2 installation and not from PyPI.
+Only launch files import it: `launch` comes with a ROS 2 installation, not from PyPI.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from evpinn_ros.nodes.typed import TYPED, TYPED_FORECAST
 from evpinn_ros.topics import NAMESPACE, TOPICS, Topic
 from launch import LaunchDescription
 
-if TYPE_CHECKING:  # `ros2` may run in a Python that has none of what the table needs
+if TYPE_CHECKING:  # `ros2` may run in a Python without the packages that the table needs
     from evpinn_ros.topics.node_parameters import Value
 
 TRUTH = ("true", "false")
@@ -34,7 +34,7 @@ RESPAWN_DELAY = 2.0  # s
 def argument(
     name: str, default: str | None, description: str, choices: Sequence[str] | None = None
 ) -> DeclareLaunchArgument:
-    """One launch argument; without a default it must be given."""
+    """One launch argument, required if it has no default."""
     return DeclareLaunchArgument(
         name,
         default_value=default,
@@ -72,13 +72,13 @@ class Given:
         names = [argument.name for argument in arguments]
         self.values: dict[str, str] = {
             name: LaunchConfiguration(name).perform(context) for name in names
-        }  # by name
+        }  # values by name
         pushed = context.launch_configurations.get("ros_namespace")
         below = prefix_namespace(pushed, self.values["namespace"])
-        self.namespace: str = make_namespace_absolute(below)  # with those of including files
+        self.namespace: str = make_namespace_absolute(below)  # below those of including files
         self.remaps: Sequence[tuple[str, str]] = context.launch_configurations.get(
             "ros_remaps", ()
-        )  # pairs of names that including files have set by `SetRemap`, in their order
+        )  # pairs of names that including files set by `SetRemap`, in their order
         if not Path(self.values["params_file"]).is_file():
             raise InputError(f"params_file:={self.values['params_file']}: no such file")
         if self.values["vehicle"]:
@@ -93,21 +93,21 @@ class Given:
         return self.values[name]
 
     def is_true(self, name: str) -> bool:
-        """True if one that is `true` or `false` is true."""
+        """True if an argument is `true`; False if it is `false`."""
         return self.values[name] == "true"
 
     def resolved(self, topic: Topic) -> str:
-        """The full name of a topic, as a node resolves it: the first rule that fits counts."""
+        """The full name of a topic, as a node resolves it: the first matching rule counts."""
         name = topic.under(self.namespace)
         for rule, target in self.remaps:
-            # A rule may be of one node: `energy:odom`.
+            # A rule may apply to one node: `energy:odom`.
             source = rule.removeprefix("rostopic://").rpartition(":")[2]
             if prefix_namespace(self.namespace, source) == name:
                 return str(prefix_namespace(self.namespace, target))
         return name
 
     def number(self, name: str) -> float:
-        """One that is a number, also one without a decimal point."""
+        """An argument as a number, with or without a decimal point."""
         try:
             return float(self.values[name])
         except ValueError as error:
@@ -119,7 +119,7 @@ def describe(
     *own: DeclareLaunchArgument,
     simulated: DeclareLaunchArgument = SIMULATED,
 ) -> LaunchDescription:
-    """The description of a launch file that starts what `actions` gives of its arguments."""
+    """Description of a launch file that starts the result of `actions` for its arguments."""
     arguments = (*own, *COMMON, simulated)
     names = [argument.name for argument in arguments]
 
@@ -132,7 +132,7 @@ def describe(
 
 
 def _mistyped(context: Any, names: Sequence[str]) -> list[LogInfo]:
-    """A line for each argument that is nearly one of ours: `launch` takes any in silence."""
+    """A line for each argument that looks mistyped: `launch` silently accepts any name."""
     others = [name for name in context.launch_configurations if name not in names]
     return [
         LogInfo(msg=f"unknown argument '{name}'{near}")
@@ -144,9 +144,9 @@ def _mistyped(context: Any, names: Sequence[str]) -> list[LogInfo]:
 def node(
     given: Given, executable: str, parameters: Mapping[str, Value], kind: type[Node] = Node
 ) -> Node:
-    """One node of this package; an empty text among its parameters leaves that to the file."""
+    """One node of this package; parameters with an empty text are left to the file."""
     own = {
-        # A text stays one also where it looks like a number: channels may be called `0`.
+        # A text stays a text even if it looks like a number: a channel may be called `0`.
         name: ParameterValue(value, value_type=type(value))
         for name, value in parameters.items()
         if value != ""
@@ -170,7 +170,7 @@ def managed_node(given: Given, executable: str, parameters: Mapping[str, Value])
 
 
 def recorder(given: Given) -> ExecuteProcess:
-    """`ros2 bag` recording every topic of this car."""
+    """Process `ros2 bag` that records every topic of this car."""
     command = ["ros2", "bag", "record", "--storage", "mcap", "--output", given["record"]]
     command += ["--use-sim-time"] if given.is_true("use_sim_time") else []
     recorded = (*TOPICS, *TYPED.values(), TYPED_FORECAST)

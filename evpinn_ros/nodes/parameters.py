@@ -1,4 +1,4 @@
-"""Declares the parameters of a node from their table, and refuses wrong ones while it runs."""
+"""Declares the parameters of a node from their table, and refuses wrong changes at run time."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from evpinn_ros.topics.node_parameters import OF_EVERY_NODE, TABLES, Parameter, 
 
 
 def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
-    """Declare a table's parameters; returns their values, which follow later changes.
+    """Declare a table's parameters; returns their values by name, updated by later changes.
 
-    Those of a managed node may be anything until it is configured, which refuses wrong ones.
+    A managed node accepts any value until it is configured; `configure` then refuses wrong ones.
     """
     given = node._parameter_overrides.get("managed")
     managed = given is not None and given.value is True
@@ -50,7 +50,7 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
 
 
 def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
-    """A line for each given parameter that no node here has; rclpy ignores it."""
+    """A line for each given parameter that no node of this process has; rclpy ignores it."""
     all_names = {parameter.name for table in TABLES.values() for parameter in table}
     names = [parameter.name for parameter in table]
     return [
@@ -61,7 +61,7 @@ def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
 
 
 def overrides(values: Mapping[str, Value]) -> list[RosParameter]:
-    """Values as a node takes them: `EnergyNode(parameter_overrides=overrides({...}))`."""
+    """Values as parameters for a node: `EnergyNode(parameter_overrides=overrides({...}))`."""
     return [RosParameter(name, value=value) for name, value in values.items()]
 
 
@@ -72,7 +72,7 @@ def _refuser(
         new = {
             parameter.name: parameter.value for parameter in changed if parameter.name in values
         }
-        if not new:  # of rclpy's own: four for each topic, and the vehicle file takes 5 ms to read
+        if not new:  # rclpy's own, four for each topic; a check reads the vehicle file, 5 ms
             return SetParametersResult(successful=True)
         if "managed" in new:
             return SetParametersResult(successful=False, reason="managed: fixed at the start")

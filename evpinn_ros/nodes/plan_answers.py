@@ -18,14 +18,14 @@ from evpinn_ros.nodes.factory import new_message
 from evpinn_ros.nodes.typed import PLAN_RESULT, assumed_conditions, given_conditions
 
 UNKNOWN = dict.fromkeys(("energy", "energy_sigma", "end_charge", "end_charge_sigma"), math.nan)
-MOST_WAITING = 100  # plans or calls; who asks faster than is answered is refused
-LONGEST_STOP = 5.0  # s to wait for the plan in work; the thread is a daemon
+MOST_WAITING = 100  # plans or calls; further ones are refused
+LONGEST_STOP = 5.0  # s to wait for the current plan; the thread is a daemon
 
 Job: TypeAlias = Callable[[Forecaster], object]
 
 
 class PlanDesk:
-    """Does one job after the other, in a thread, with a forecaster that is its own."""
+    """Runs jobs one after the other, in a thread with a forecaster of its own."""
 
     def __init__(self, forecaster: Forecaster) -> None:
         self._forecaster = forecaster
@@ -35,11 +35,11 @@ class PlanDesk:
         self._thread.start()
 
     def tell(self, update: Job) -> None:
-        """Let the forecaster know something, before all that is asked from now on."""
+        """Update the forecaster before any later question."""
         self._jobs.put(update)
 
     def ask(self, job: Job) -> bool:
-        """Have a plan answered, by a job that must not raise; False while too many wait."""
+        """Queue a job that answers a plan and must not raise; False if too many wait."""
         if not self._places.acquire(blocking=False):
             return False
 
@@ -53,7 +53,7 @@ class PlanDesk:
         return True
 
     def close(self) -> None:
-        """End the thread after the job in work; what waits is dropped."""
+        """End the thread after the current job; waiting jobs are dropped."""
         while not self._jobs.empty():
             self._jobs.get()
         self._jobs.put(None)
@@ -65,7 +65,7 @@ class PlanDesk:
 
 
 class Moment(NamedTuple):
-    """Arguments of `Forecaster.answer` that are of one moment."""
+    """Arguments of `Forecaster.answer` that belong to one moment."""
 
     charge: Uncertain
     capacity: Uncertain
@@ -81,9 +81,9 @@ class CallLimits(NamedTuple):
 
 
 SERVICE = CallLimits(100, 2_000_000)
-"""Some seconds of work, of which the caller does not see how far it is."""
+"""Limits of a request of the service: some seconds of work without progress for the caller."""
 BATCH = CallLimits(1000, 20_000_000)
-"""Limits of a goal of the action, which says how far it is and can be cancelled."""
+"""Limits of a goal of the action, which has feedback and can be cancelled."""
 
 
 class PlanCall:
@@ -93,12 +93,12 @@ class PlanCall:
         """Begin with the first plan of a request or goal; those beyond the limits are refused."""
         self._plans, self._given = request.plans, request.conditions
         self._limits, self._log = limits, log
-        self.results: list[Any] = []  # evpinn_msgs/PlanResult of each plan so far, in their order
+        self.results: list[Any] = []  # evpinn_msgs/PlanResult of the plans so far, in order
         self._points, self._together = 0, object()
-        # What plan i takes more than plan j, and its 1-sigma.
+        # Energy that plan i takes more than plan j, and its 1-sigma.
         self._more, self._sigma = np.full((2, *[len(self._plans)] * 2), math.nan)
         self._basis = ""
-        self._answered: PlanAnswer | None = None  # the last
+        self._answered: PlanAnswer | None = None  # the last answer
 
     @property
     def finished(self) -> bool:
@@ -106,7 +106,7 @@ class PlanCall:
         return len(self.results) == len(self._plans)
 
     def answer(self, forecaster: Forecaster, moment: Moment) -> None:
-        """Answer the next plan by the call's moment, compared with those before, or refuse it."""
+        """Answer the next plan at a moment, and compare it with those before; or refuse it."""
         index, self._basis = len(self.results), forecaster.basis.value
         asked = self._plans[index]
         result = new_message(PLAN_RESULT, name=asked.name, **UNKNOWN)
@@ -122,13 +122,13 @@ class PlanCall:
         self.results.append(result)
 
     def refuse_all(self, reason: str) -> None:
-        """Give every plan that has no result this reason for it."""
+        """Refuse every plan without a result, with this reason."""
         for asked in self._plans[len(self.results) :]:
             result = new_message(PLAN_RESULT, name=asked.name, refusal=reason, **UNKNOWN)
             self.results.append(result)
 
     def write(self, response: Any) -> Any:
-        """Fill the response of the service, or the result of the action, with what there is."""
+        """Fill the response of the service or the result of the action, as far as it is known."""
         for index, result in enumerate(self.results):
             self._set_differences(result, index)
         response.results, response.basis = self.results, self._basis

@@ -1,4 +1,4 @@
-"""The three nodes as processes of their own, fed from a CAN log and recorded."""
+"""The three nodes in processes of their own, fed from a CAN log and recorded."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import read_named_vector
 from evpinn_ros.topics.node_parameters import Value, of_node
 
-START_TIMEOUT = 60.0  # s for the nodes to come up on a busy machine
-OUTPUT_TIMEOUT = 15.0  # s without any prediction: something has died
+START_TIMEOUT = 60.0  # s for the nodes to start on a busy machine
+OUTPUT_TIMEOUT = 15.0  # s without any prediction, after which a node counts as dead
 STOP_TIMEOUT = 10.0  # s for a node to save and end
 SPIN = 0.2  # s
-FIRST_DOMAIN, DOMAINS = 82, 20  # all below 102, which any platform allows; tests have those below
+FIRST_DOMAIN, DOMAINS = 82, 20  # all below 102, which every platform allows; tests use lower ones
 
 
 def record_through_nodes(
@@ -41,16 +41,16 @@ def record_through_nodes(
 ) -> None:
     """Play a CAN log through the executables over DDS and record all their topics.
 
-    `end_ns` is the stamp of its last frame. InputError: stopped, or a node ended or fell silent,
-    before that.
+    `end_ns` is the stamp of the last frame of the log. InputError: before that frame, the run was
+    stopped, or a node ended or fell silent.
     """
     own_network()
-    # At a signal the caller stops the nodes; rclpy would end its own part and leave an error.
+    # At a signal the caller stops the nodes; rclpy's handler would leave an error.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     recorder = RecorderNode(folder, namespace=NAMESPACE)
     watch = _Watch(end_ns, progress)
     recorder.listen(topics.POWER_SMOOTHED, watch.take)
-    executor = SingleThreadedExecutor()  # that of events takes the caller's handlers with it
+    executor = SingleThreadedExecutor()  # EventsExecutor removes the caller's handlers
     executor.add_node(recorder)
 
     def spin() -> None:
@@ -101,7 +101,7 @@ class _Watch:
 def _await_listeners(recorder: RecorderNode, spin: Callable[[], None]) -> None:
     speed, power = (topic.under() for topic in (topics.SPEED, topics.POWER_SMOOTHED))
     given_up = time.monotonic() + START_TIMEOUT
-    # The recorder listens to all, and to power/smoothed twice; both nodes listen to speed.
+    # The recorder subscribes to every topic, to power/smoothed twice; both nodes to speed.
     while recorder.count_subscribers(speed) < 3 or recorder.count_subscribers(power) < 3:
         if time.monotonic() > given_up:
             raise InputError(f"the nodes did not come up within {START_TIMEOUT:g} s")
@@ -116,7 +116,7 @@ def _spin_for(spin: Callable[[], None], seconds: float) -> None:
 
 
 def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:
-    """The command that starts one node's executable."""
+    """The command that starts the executable of one node."""
     command = [sys.executable, "-m", "evpinn_ros.executables", name, "--ros-args"]
     command += ["-r", f"__ns:={NAMESPACE}", "--log-level", "warn"]
     for key, value in parameters.items():
@@ -127,9 +127,9 @@ def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:
 
 @contextmanager
 def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
-    """One node's executable, stopped as a launch file would stop it."""
+    """The running executable of one node; stopped at the end as a launch file does."""
     command = node_command(name, of_node(name, parameters))
-    # Signals wait until the process can end well: before that, Python would print a traceback.
+    # Block signals until the process handles them: before that, Python prints a traceback.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
@@ -142,7 +142,7 @@ def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subproc
 
 
 def interrupt(process: subprocess.Popen[bytes]) -> None:
-    """Stop a process as Ctrl-C does; it is killed where it does not end."""
+    """Stop a process as Ctrl-C does; kill it if it does not end within `STOP_TIMEOUT`."""
     process.send_signal(signal.SIGINT)
     try:
         process.wait(STOP_TIMEOUT)

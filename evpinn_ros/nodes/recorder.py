@@ -17,12 +17,12 @@ from evpinn_ros.nodes.factory import installed
 from evpinn_ros.topics import FRAME_TYPE, TOPICS, Topic
 from evpinn_ros.topics.messages import Level
 
-# s; a kill may cost this and the time for which a busy computer keeps the node waiting.
+# s; a kill may lose this time, and the delay of the node on a busy computer.
 FLUSH_PERIOD = 0.25
 
 
 class RecorderNode(GuardedNode):
-    """Writes each message at the time of its arrival; a disk that fails ends it alone."""
+    """Writes each message with its time of arrival; a disk error ends only this node's work."""
 
     def __init__(
         self,
@@ -31,7 +31,7 @@ class RecorderNode(GuardedNode):
         split: Split | None = None,
         **kwargs: Any,
     ) -> None:
-        """Begin the bag (InputError if it cannot); `frames` are emptied here."""
+        """Begin the bag, or raise InputError; `frames` is a buffer that this node empties."""
         super().__init__("recorder", **kwargs)
         self._counts: Counter[str] = Counter()
         self._problem: str | None = None
@@ -43,7 +43,7 @@ class RecorderNode(GuardedNode):
         self.every(FLUSH_PERIOD, self._flush)
 
     def statuses(self) -> list[Status]:
-        """Size of the bag, or the problem that ended it."""
+        """Status with the size of the bag, or with the problem that ended it."""
         counts, folder = self._counts, self._writer.folder
         text = f"{counts['messages']} messages and {counts['frames']} CAN frames in {folder}"
         level = Level.OK if self._problem is None else Level.ERROR
@@ -67,7 +67,7 @@ class RecorderNode(GuardedNode):
             self._problem = f"recording ended: {self._writer.folder}: {error.strerror}"
             self.get_logger().error(self._problem)
         if self._problem is not None:
-            self._frames.clear()  # the bridge goes on filling it
+            self._frames.clear()  # the bridge still fills it
 
     def _write_frames(self) -> None:
         while self._frames:

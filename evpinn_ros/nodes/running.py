@@ -1,6 +1,6 @@
-"""Runs nodes in one thread until they are stopped, and ends them in good order.
+"""Runs nodes in one thread until a signal, and shuts them down in order.
 
-systemd is told by sd_notify(3): datagrams to the socket in NOTIFY_SOCKET, if there is one.
+It reports to systemd by sd_notify(3): datagrams to the socket NOTIFY_SOCKET, if set.
 """
 
 from __future__ import annotations
@@ -28,30 +28,30 @@ from evpinn_ros.nodes.base import GuardedNode
 from evpinn_ros.nodes.discovery import announce_often
 
 SWITCH_INTERVAL = 5e-4
-"""s that a thread may keep the interpreter from one that wants it: the bridge's after each system
-call, the callbacks' while an update is computed. At Python's own 5 ms, beside the learner, one
-frame in a hundred came 12 ms late, now 4 (docs/project/upstream.md)."""
+"""s for which a thread may hold the interpreter while another waits: the bridge after each system
+call, callbacks during an update. With Python's default of 5 ms and a working learner, one frame in
+a hundred came 12 ms late, with this value 4 ms (docs/project/upstream.md)."""
 
 START = 30.0
-"""s for the nodes to be made: 0.3 on free cores. Only what hangs takes longer."""
+"""s to make the nodes, which takes 0.3 s on idle cores; more than this is a hang."""
 
 FAREWELL = 8.0
-"""s for the nodes to leave the network once all is saved: 0.1 on free cores, seconds on a machine
-under load; a launch kills after 10. Others that leave as well may hang Fast DDS for good (its
-issue 6502)."""
+"""s for the nodes to leave the network after saving: 0.1 on idle cores, seconds under load; a
+launch kills after 10. If other nodes leave at the same time, Fast DDS may hang forever (its issue
+6502)."""
 
 ONE_WISH = 1.0
-"""s within which signals are one: a terminal and the launch that it stops both send theirs."""
+"""s within which several signals count as one: a terminal and its launch both send one."""
 
 LONGEST_SPIN = 0.1
-"""s of one wait, after which Python learns of a signal; with none given, that of Kilted's
-executor does not wait at all."""
+"""s of one wait, after which Python handles signals; without a timeout, Kilted's executor does not
+wait at all."""
 
 MakeNode = Callable[[], GuardedNode]
 GENERATOR = "rosidl_generator_py.generate_py_impl"
-"""What makes Python of message definitions: loaded with the first message, and used by builds."""
+"""Generator of Python code for messages: imported with the first message, used only by builds."""
 
-SYSTEMD_PATIENCE = 0.1  # s for a systemd that does not read: it must not hold up the callbacks
+SYSTEMD_PATIENCE = 0.1  # s to wait if systemd does not read; must not delay callbacks
 
 
 def run(
@@ -59,13 +59,13 @@ def run(
     args: list[str] | None = None,
     beside: AbstractContextManager[object] | None = None,
 ) -> int:
-    """Spin nodes until a signal, which ends the process with 0; returns 1, with a line, on errors.
+    """Spin nodes until a signal, which ends the process with 0; returns 1 after a printed error.
 
-    `makers` of listening nodes come first; `beside` is entered before the nodes start.
+    `makers` make the nodes, listeners first; `beside` is entered before the nodes start.
     """
-    # A signal is noted and nothing else: a KeyboardInterrupt would strike anywhere, in the middle
-    # of rclpy's C++ too, which turns it into some other error, and rclpy's own handler shuts its
-    # context down while the executor enters endpoints, which aborts the process.
+    # The handler only notes the signal: a KeyboardInterrupt could occur inside rclpy's C++, which
+    # turns it into another error; rclpy's own handler shuts down its context while the executor
+    # adds endpoints, which aborts the process.
     signals: list[int] = []
     at_stop(lambda number, _: signals.append(number))
     with beside or nullcontext():
@@ -79,11 +79,11 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
     sys.setswitchinterval(SWITCH_INTERVAL)
     load_no_generator()
     announce_often()
-    # In Jazzy `rclpy.init` is no context manager yet.
+    # In Jazzy `rclpy.init` is not a context manager yet.
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        return _fail(f"ROS does not start: {error}")  # of arguments it names no more than those
+        return _fail(f"ROS does not start: {error}")  # for wrong arguments it names only these
     executor = new_executor()
     nodes: list[GuardedNode] = []
     code = 0
@@ -94,7 +94,7 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
         if not signals:
             tell("READY=1")
             period = watchdog_period()
-            if period is not None and nodes:  # from the thread of the callbacks: these go on
+            if period is not None and nodes:  # in the thread of the callbacks: these run
                 nodes[0].every(period, partial(tell, "WATCHDOG=1"))
             for node in nodes:
                 executor.add_node(node)
@@ -108,29 +108,29 @@ def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[i
 
 
 def new_executor() -> Executor:
-    """The EventsExecutor where it serves coroutines: in Kilted since 9.1.2, not in Jazzy.
+    """An EventsExecutor if it supports coroutines: in Kilted since 9.1.2, not in Jazzy.
 
-    SingleThreadedExecutor enters every endpoint in Python before each message, which takes half
-    of the energy node's processor at 10 Hz.
+    SingleThreadedExecutor adds every endpoint in Python before each message, which is half of the
+    energy node's processor time at 10 Hz.
     """
-    if not hasattr(Executor, "create_future"):  # came together with coroutines
+    if not hasattr(Executor, "create_future"):  # was added together with coroutines
         return SingleThreadedExecutor()
-    from rclpy.experimental import EventsExecutor  # here: older versions have none
+    from rclpy.experimental import EventsExecutor  # imported here: older versions lack it
 
     executor = EventsExecutor()
-    for number in (signal.SIGINT, signal.SIGTERM):  # which it takes for itself
+    for number in (signal.SIGINT, signal.SIGTERM):  # EventsExecutor replaces their handlers
         if (handler := signal.getsignal(number)) is not None:
             signal.signal(number, handler)
     return executor
 
 
 def load_no_generator() -> None:
-    """Spare this process what only builds of messages need: 3 to 7 MB, 0.1 s of each start."""
+    """Skip an import that only builds of messages need: saves 3 to 7 MB, and 0.1 s per start."""
     sys.modules.setdefault(GENERATOR, None)  # type: ignore[arg-type]
 
 
 def _end(nodes: Sequence[GuardedNode], executor: Executor) -> int:
-    """Close all nodes; raises their first error, or returns 1 if something was not kept."""
+    """Close all nodes; raises their first error, or returns 1 if something was not saved."""
     begin, code = time.monotonic(), 0
     tell("STOPPING=1")
     errors: list[Exception] = []
@@ -146,14 +146,14 @@ def _end(nodes: Sequence[GuardedNode], executor: Executor) -> int:
         if time.monotonic() - begin > ONE_WISH:
             os._exit(code)
 
-    # A listener receives the others' last messages; a destroyed node announces that it is gone,
-    # once no executor holds its endpoints.
+    # Listeners receive the last messages of others; a destroyed node announces its end once no
+    # executor holds its endpoints.
     steps: list[Callable[[], object]] = [
         partial(at_stop, end_at_once),
         executor.shutdown,
     ]
     steps += [node.destroy_node for node in nodes]
-    steps.append(try_shutdown)  # not that of `rclpy`, which in Kilted ends the thread once more
+    steps.append(try_shutdown)  # not `rclpy.shutdown`, which in Kilted ends the thread twice
     with deadline(FAREWELL):
         for step in steps:
             try:
@@ -166,7 +166,7 @@ def _end(nodes: Sequence[GuardedNode], executor: Executor) -> int:
 
 
 def _end_process() -> NoReturn:
-    """End without taking libraries to pieces: of torch, 0.6 s of the processor."""
+    """End the process without finalizers of libraries: those of torch take 0.6 s."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):
             stream.flush()
@@ -179,25 +179,25 @@ def _fail(reason: str) -> int:
 
 
 def tell(state: str) -> None:
-    """Send one state, `READY=1`, `WATCHDOG=1` or `STOPPING=1`; who does not listen is ignored."""
+    """Send systemd one state, `READY=1`, `WATCHDOG=1` or `STOPPING=1`; errors are ignored."""
     path = os.environ.get("NOTIFY_SOCKET", "")
     if not path:
         return
-    address = "\0" + path[1:] if path.startswith("@") else path  # of the abstract namespace
+    address = "\0" + path[1:] if path.startswith("@") else path  # in the abstract namespace
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as outlet:
         outlet.settimeout(SYSTEMD_PATIENCE)
         outlet.sendto(state.encode(), address)
 
 
 def watchdog_period() -> float | None:
-    """Half of the s that systemd waits (WATCHDOG_USEC), or None."""
+    """Half of systemd's watchdog timeout (WATCHDOG_USEC), s, or None."""
     waits = os.environ.get("WATCHDOG_USEC", "")
     return int(waits) / 2e6 if waits.isdecimal() and int(waits) > 0 else None
 
 
 @contextmanager
 def deadline(seconds: float) -> Iterator[None]:
-    """End with 1, and say where it hangs, after so long; `faulthandler` needs no interpreter."""
+    """If a block takes too long, s, exit with 1 and print where, by `faulthandler`."""
     faulthandler.dump_traceback_later(seconds, exit=True, file=2)
     try:
         yield

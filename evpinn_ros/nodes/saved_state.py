@@ -1,4 +1,4 @@
-"""Keeps what a node learned or counted in a file, and never loses what it cannot use."""
+"""Saves the state of a node in a file, and keeps files that it cannot use."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from evpinn_ros.core.estimation.state_file import (
     write_halves,
 )
 
-MOST_APPENDED = 600  # states behind one that was written whole; 1.5 kB each
+MOST_APPENDED = 600  # states after a completely written one; 1.5 kB each
 
 
 class Stateful(Protocol):
-    """Something whose state can be saved: `OnlineEstimator`, `EnergyAccount`."""
+    """An object whose state can be saved: `OnlineEstimator`, `EnergyAccount`."""
 
     def export(self) -> Mapping[str, Any]:
-        """What `restore` takes, as JSON holds it."""
+        """The state for `restore`, as JSON values."""
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a saved state; ValueError when it does not fit."""
+        """Continue from a saved state; ValueError if it does not fit."""
 
     def reset(self) -> None:
-        """Forget all that was learned."""
+        """Forget everything learned."""
 
 
 class StateFile:
-    """The state file of one node, which has a half of it; another node may have the other."""
+    """The state file of one node, which owns one half of it; another node may own the other."""
 
     def __init__(self, path: Path | None, owner: Stateful, half: Half) -> None:
         self.problem: str | None = None  # why the file was not used or not written
         self._path, self._owner, self._half = path, owner, half
         self._loaded: Mapping[str, Any] | None = None
-        self._refused: tuple[int, int] | None = None  # which file that was
+        self._refused: tuple[int, int] | None = None  # inode and time of that file
         self._readable, self._unwritable = True, False
         self._claim: StateClaim | None = None
-        self._appendable = 0  # states that may follow the last that was written whole
-        self.busy: str | None = None  # another process has the half: nothing is written
+        self._appendable = 0  # states that may still be appended
+        self.busy: str | None = None  # another process owns the half: nothing is written
 
     def why_unwritable(self) -> str | None:
-        """The reason why the file can never be written, None where it can or none is set."""
+        """The reason why the file can never be written; None if it can, or without a file."""
         if self._path is None:
             return None
         try:
@@ -62,7 +62,7 @@ class StateFile:
         return f"{self._path}: cannot be written: a folder" if self._path.is_dir() else None
 
     def restore(self) -> None:
-        """Claim the half, and restore the owner from the file, if there is a usable one."""
+        """Claim the half, and restore the owner from the file if it is usable."""
         try:
             self._claim = StateClaim(self._path, [self._half])
         except InputError as error:
@@ -78,35 +78,35 @@ class StateFile:
         self.problem = self.busy or self.problem
 
     def release(self) -> None:
-        """Leave the half to others."""
+        """Release the half."""
         if self._claim is not None:
             self._claim.release()
 
     @property
     def start(self) -> str | None:
-        """State that the owner goes on from; None where nothing was restored."""
+        """Text on the restored state; None if nothing was restored."""
         return None if self._loaded is None else f"continues from {self._path}"
 
     def start_over(self) -> None:
-        """Set the owner to what it was at the start: the loaded state, or nothing learned."""
+        """Return the owner to its start: the loaded state, or nothing learned."""
         self._owner.reset()
         if self._loaded is None:
             return
         try:
             self._owner.restore(self._loaded)
         except Exception as error:
-            # Any content is possible in a file that is JSON: nothing in it may stop the node.
+            # A JSON file may have any content, which must not stop the node.
             self._owner.reset()
             self._loaded = None
             self._refuse(f"{self._path}: not used: {error}")
 
     def forget(self) -> None:
-        """Forget what was learned and what was loaded; the file stays until the next save."""
+        """Forget the learned and the loaded state; the file stays until the next save."""
         self._loaded = None
         self._owner.reset()
 
     def save(self) -> str | None:
-        """Write the state; gives the reason when that fails."""
+        """Write the state; returns the reason if that fails."""
         if self._path is None:
             return "no file for it is set"
         if self.busy is not None:
@@ -121,9 +121,9 @@ class StateFile:
         return None
 
     def append(self) -> None:
-        """Append the state to the file, or now and then write it whole: a kill spares it."""
+        """Append the state to the file, or sometimes rewrite the file; the state survives a kill."""
         if self._path is None or self._unwritable:
-            return  # `save` tries again, in its own time
+            return  # `save` tries again at its next call
         if not self._appendable:
             self.save()
             return
@@ -131,7 +131,7 @@ class StateFile:
             append_half(self._path, self._half, self._owner.export())
             self._appendable -= 1
         except (OSError, ValueError):
-            self.save()  # which says what is wrong
+            self.save()  # it reports the problem
 
     def _refuse(self, problem: str) -> None:
         if self._path is not None:
@@ -142,7 +142,7 @@ class StateFile:
         self.problem = problem
 
     def _set_refused_aside(self, path: Path) -> None:
-        """Keep a file that was refused, unless the node of its other half has done so."""
+        """Rename a refused file, unless the node of its other half has done so."""
         if self._refused is not None:
             with claimed(path):
                 if _identity(path) == self._refused:
@@ -151,7 +151,7 @@ class StateFile:
 
 
 def state_path(text: str) -> Path | None:
-    """The path of a parameter, None where empty; InputError for a `~` of nobody."""
+    """The path in a parameter, None if empty; InputError for a `~` of an unknown user."""
     try:
         return Path(text).expanduser() if text else None
     except RuntimeError as error:

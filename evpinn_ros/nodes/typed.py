@@ -1,7 +1,7 @@
-"""The messages of `evpinn_msgs`, beside the named vectors of the contract.
+"""Typed messages of `evpinn_msgs`, beside the named vectors of the contract.
 
-Under `typed/` each quantity is a field, beside it its 1-sigma and perhaps its rate; NaN where not
-known.
+Under `typed/` each quantity is a field, with fields for its 1-sigma and perhaps its rate; NaN if
+unknown.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SIGMA, RATE = "_sigma", "_rate"
 
 
 def typed(topic: Topic, name: str) -> Topic:
-    """The typed topic beside one of the contract."""
+    """The typed topic that belongs to a topic of the contract."""
     text = f"`{topic.name}` as `{PACKAGE}/{name}`"
     type_name = f"{PACKAGE}/msg/{name}"
     return Topic(
@@ -47,17 +47,17 @@ TYPED = {
     )
 }
 ALWAYS = (topics.IDENTIFIABLE, topics.POWER_MEASURED, topics.POWER_SMOOTHED)
-"""Named vectors that the node `energy` reads."""
+"""Named vectors that the node `energy` subscribes to."""
 TYPED_FORECAST = typed(topics.FORECAST, "PlanForecast")
 
 
 def quantities(message: Any) -> list[str]:
-    """Names of all numbers of a typed message, or of its class."""
+    """Names of all numbers in a typed message or its class."""
     return [name for name in message.get_fields_and_field_types() if name != "header"]
 
 
 def typed_message(topic: Topic, vector: Any) -> Any:
-    """The typed message of a topic of `TYPED`: the header and the numbers of its named vector."""
+    """The typed message of a topic of `TYPED`, with header and numbers of its named vector."""
     numbers = {
         f"{name}{end}": value
         for end, values in (("", vector.position), (RATE, vector.velocity), (SIGMA, vector.effort))
@@ -70,13 +70,13 @@ def typed_message(topic: Topic, vector: Any) -> Any:
 
 
 def given_conditions(message: Any) -> PlanConditions:
-    """Conditions in a typed message, NaN as none; PlanError for what no trip has."""
+    """Conditions in a typed message, NaN as not given; PlanError for impossible ones."""
     given = {name: number for name in CONDITION_RANGES for number in getattr(message, name)}
     return PlanConditions(**{k: v for k, v in given.items() if not math.isnan(v)})
 
 
 def assumed_conditions(assumed: Mapping[str, float]) -> Any:
-    """The typed message of conditions that a forecast took, by name."""
+    """The typed message of the conditions assumed in a forecast, by name."""
     return new_message(
         PLAN_CONDITIONS, **{name: [float(value)] for name, value in assumed.items()}
     )

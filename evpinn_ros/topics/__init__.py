@@ -1,4 +1,4 @@
-"""Every topic of this package; names are relative to `NAMESPACE`, but for `/diagnostics`."""
+"""Every topic of this package; names are relative to `NAMESPACE`, except `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FRAME_TYPE = "can_msgs/msg/Frame"
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """Quality of service: history is keep-last with this depth, all else is the default."""
+    """Quality of service: keep-last history with this depth, defaults otherwise."""
 
     reliable: bool
     transient_local: bool
@@ -43,27 +43,27 @@ class Topic:
     """A topic of the contract: its name, type, content and quality of service."""
 
     name: str  # relative to the namespace, or absolute
-    source: str  # who publishes it
+    source: str  # its publisher
     description: str  # content, in one line
-    unit: str = ""  # of the content; empty where it has several or none
+    unit: str = ""  # of the content; empty if it has several or none
     type_name: str = NAMED_VECTOR_TYPE  # `package/msg/Type`
     latched: bool = False  # a late subscriber gets the last message
-    depth: int = QUEUE_DEPTH  # of its queues, unless it is latched
+    depth: int = QUEUE_DEPTH  # of its queues; 1 if latched
 
     @property
     def package(self) -> str:
-        """The package of its type."""
+        """The package of the message type."""
         return self.type_name.partition("/")[0]
 
     @property
     def publisher_qos(self) -> Qos:
-        """Reliable, for all subscribers, and as deep as what subscribes; 1 if latched."""
+        """Reliable, which suits every subscriber, with the same depth; depth 1 if latched."""
         depth = 1 if self.latched else self.depth
         return Qos(reliable=True, transient_local=self.latched, depth=depth)
 
     @property
     def subscriber_qos(self) -> Qos:
-        """Best effort for the car's streams, else reliable; deep, as for a bag at ten times."""
+        """Best effort for the car's streams, else reliable; deep enough for a bag at ten times."""
         if self.source in FROM_THE_CAR:
             return Qos(reliable=False, transient_local=False, depth=self.depth)
         depth = 1 if self.latched else self.depth
@@ -74,7 +74,7 @@ class Topic:
         return self.name if self.name.startswith("/") else f"{namespace.rstrip('/')}/{self.name}"
 
     def matches(self, full_name: str) -> bool:
-        """True if a full name is this topic, under any namespace; its typed twin is another."""
+        """True if a full name is this topic, under any namespace; False for its typed twin."""
         name = self.name.lstrip("/")
         is_twin = full_name.endswith(f"/{TYPED}/{name}")
         return full_name == self.name or (full_name.endswith(f"/{name}") and not is_twin)
@@ -103,7 +103,7 @@ VELOCITY_REPORT = Topic(
     type_name=VELOCITY_REPORT_TYPE,
 )
 SPEEDS = SPEED, ODOMETRY, VELOCITY_REPORT
-"""Topics of speed, of which the first that is received is used."""
+"""Topics of speed; the first of them that is received is used."""
 BATTERY = Topic(
     "battery/state",
     "can_bridge",
@@ -331,5 +331,5 @@ INPUTS = tuple(topic for topic in TOPICS if topic.source in FROM_THE_CAR)
 
 
 def topic_of(full_name: str) -> Topic | None:
-    """The topic of this package that a full name stands for, under any namespace."""
+    """The topic of this package with this full name, under any namespace; None if unknown."""
     return next((topic for topic in TOPICS if topic.matches(full_name)), None)

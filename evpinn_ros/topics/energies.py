@@ -1,4 +1,4 @@
-"""Outputs of the energy meter as ROS 2 messages: apart, so that no estimator loads a meter."""
+"""Outputs of the energy meter as ROS 2 messages; the estimator does not load this module."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from evpinn_ros.topics.estimates import estimate_messages, uncertain_vector
 from evpinn_ros.topics.messages import NewMessage, named_vector, read_named_vector, scalar
 
 FLOWS = ("measured", "predicted", "rknn", "regenerated")
-JOULES_PER_METRE = 3.6  # in a Wh/km
+JOULES_PER_METRE = 3.6  # in one Wh/km
 UNKNOWN_FLOW = Flow(math.nan, math.nan, math.nan)
 
 
 def output_messages(
     new: NewMessage, output: Output | EnergyState | AccountSummary
 ) -> Iterator[tuple[Topic, Any]]:
-    """`estimate_messages`, and those of a meter."""
+    """Every message of one output of estimator or meter; ValueError if a number is not finite."""
     if isinstance(output, EnergyState):
         yield from _energy_messages(new, output)
     elif isinstance(output, AccountSummary):
@@ -36,7 +36,7 @@ def _energy_messages(new: NewMessage, state: EnergyState) -> Iterator[tuple[Topi
     power = state.measured.power if state.measuring else state.predicted.power
     consumed = Flow(state.consumed, power, state.consumed_sigma)
     flows = state.measured, state.predicted, state.rknn, state.regenerated, consumed
-    # A sum is finite if both are.
+    # A sum is finite if both terms are.
     finite = [
         (name, *flow)
         for name, flow in zip((*FLOWS, "consumed"), flows, strict=True)
@@ -79,7 +79,7 @@ def _summary_messages(new: NewMessage, summary: AccountSummary) -> Iterator[tupl
 
 
 def _totals(prefix: str, totals: EnergyTotals) -> dict[str, Uncertain]:
-    """Drawn and regenerated energy are as unsure as the net energy that they are parts of."""
+    """Totals by name; drawn and regenerated energy have the 1-sigma of the net energy."""
     net = totals.net
     return {
         f"{prefix}net": net,
@@ -89,7 +89,7 @@ def _totals(prefix: str, totals: EnergyTotals) -> dict[str, Uncertain]:
 
 
 def read_energy(message: Any) -> EnergyState:
-    """The flows of a meter; what is not on its topic is NaN or zero."""
+    """The state of a meter; values that its topic lacks are NaN or zero."""
     vector = read_named_vector(message)
     flows = {
         name: Flow(vector.values[name], vector.rates[name], vector.sigmas.get(name, math.nan))

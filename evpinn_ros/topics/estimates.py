@@ -41,7 +41,7 @@ BOUNDS = ("lower", "upper", "prior_share")
 
 
 def estimate_messages(new: NewMessage, output: Output) -> Iterator[tuple[Topic, Any]]:
-    """Every message of one output; ValueError, and nothing to publish, if not finite."""
+    """Every message of one output; ValueError if a number is not finite."""
     if isinstance(output, PowerEstimate):
         names, values, sigmas = [POWER], [output.power], [output.sigma]
         if math.isfinite(output.energy_sigma):
@@ -81,7 +81,7 @@ def _parameter_messages(
 def breakdown_messages(
     new: NewMessage, stamp_ns: int, breakdown: Breakdown | None
 ) -> Iterator[tuple[Topic, Any]]:
-    """The message of a breakdown; none while there is none."""
+    """The message of a breakdown; none if it is None."""
     if breakdown is None:
         return
     amounts = {**breakdown.amounts(), "measured": breakdown.total()}
@@ -104,7 +104,7 @@ def uncertain_vector(
 
 
 def read_power(topic: Topic, message: Any) -> PowerEstimate:
-    """Power of one of `POWER_TOPICS`, and the energy predicted without a battery beside it."""
+    """Power of one of `POWER_TOPICS`, with the energy predicted since the last battery reading."""
     vector = read_named_vector(message)
     values, sigmas = vector.values, vector.sigmas
     if POWER not in values:
@@ -117,7 +117,7 @@ def read_power(topic: Topic, message: Any) -> PowerEstimate:
 
 
 def read_identifiable(message: Any) -> tuple[Identifiable, Identifiable]:
-    """The combinations that data determine, and their 1-sigma."""
+    """The identifiable combinations, and their 1-sigma."""
     vector = read_named_vector(message)
     values, sigmas = (
         Identifiable(*_all(numbers, IDENTIFIABLE_NAMES))
@@ -136,7 +136,7 @@ def read_breakdown(message: Any) -> dict[str, tuple[float, float]]:
 
 
 def read_parameters(parameters: Any, combined: Any, bounds: Any) -> ParameterSet:
-    """Parameters, combinations and bounds published together; states are not on the topics."""
+    """A parameter set from messages published together; statuses are not on the topics."""
     live, limits = read_named_vector(parameters), read_named_vector(bounds).values
     values = _all(live.values, PARAMETER_NAMES)
     estimates = {}
@@ -149,7 +149,7 @@ def read_parameters(parameters: Any, combined: Any, bounds: Any) -> ParameterSet
 
 
 def bounds_of(limits: Mapping[str, float], name: str) -> dict[str, float]:
-    """Each of `BOUNDS` of a parameter, from the values of `estimate/bounds`; NaN where missing."""
+    """Each of `BOUNDS` of a parameter, from the values of `estimate/bounds`; NaN if missing."""
     return {bound: limits.get(f"{name}_{bound}", math.nan) for bound in BOUNDS}
 
 

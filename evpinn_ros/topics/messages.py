@@ -1,8 +1,8 @@
-"""Conversion between value types and ROS 2 messages, both ways: what all of them share.
+"""Shared parts of the conversion between value types and ROS 2 messages, both ways.
 
 Builders take `new`, which makes a message of any class family, so the same code serves rclpy and
-bags (`evpinn_ros.bags.types.new_message`), and raise ValueError for a number that is not finite
-where the message gives NaN no meaning. Readers raise `BadMessage` where a message holds no usable
+bags (`evpinn_ros.bags.types.new_message`). They raise ValueError for a number that is not finite,
+unless NaN has a meaning in the message. Readers raise `BadMessage` for a message without a usable
 value.
 """
 
@@ -21,7 +21,7 @@ VEHICLE_FRAME = "base_link"
 
 
 class NewMessage(Protocol):
-    """Makes a message: `new("std_msgs/msg/Header", frame_id="base_link")`; others are zero."""
+    """Makes a message: `new("std_msgs/msg/Header", frame_id="base_link")`; defaults otherwise."""
 
     def __call__(self, type_name: str, /, **fields: Any) -> Any:
         """A message of the type `package/msg/Type`."""
@@ -33,8 +33,8 @@ class BadMessage(ValueError):  # noqa: N818  (it is the message that is bad)
     def __init__(self, reason: str, *, usual: bool = False, lasting: bool = False) -> None:
         super().__init__(reason)
         self.reason = reason  # a short snake_case key for counters
-        self.usual = usual  # nothing is wrong, as when GNSS has no fix in a garage
-        self.lasting = lasting  # so is every message of this source
+        self.usual = usual  # True if nothing is wrong, as when GNSS has no fix in a garage
+        self.lasting = lasting  # True if every message of this source is bad
 
 
 class Level(IntEnum):
@@ -48,7 +48,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class NamedVector:
-    """Named quantities of one moment; `sigmas` and `rates` are empty when not given."""
+    """Named quantities of one moment; `sigmas` and `rates` are empty if not given."""
 
     stamp_ns: int
     values: Mapping[str, float]
@@ -104,7 +104,7 @@ def named_vector(
         velocity=list(map(float, rates)),
         effort=list(map(float, sigmas)),
     )
-    _set_stamp(message.header, stamp_ns)  # which it is made with: another one costs as much
+    _set_stamp(message.header, stamp_ns)  # a new header costs as much as the message
     return message
 
 
@@ -114,7 +114,7 @@ def diagnostics(
     statuses: Iterable[tuple[str, Level, str, Mapping[str, object]]],
     hardware: str = "",
 ) -> Any:
-    """diagnostic_msgs/DiagnosticArray from (name, level, message, {key: value})."""
+    """diagnostic_msgs/DiagnosticArray from tuples (name, level, message, {key: value})."""
     rows = []
     for name, level, message, values in statuses:
         pairs = [
@@ -123,21 +123,21 @@ def diagnostics(
         ]
         kind = "diagnostic_msgs/msg/DiagnosticStatus"
         status = new(kind, hardware_id=hardware, name=name, message=message, values=pairs)
-        # rclpy holds a byte as bytes, rosbags as int: the constant of the class is right in both.
+        # rclpy stores a byte as bytes, rosbags as int: the constant of the class suits both.
         status.level = getattr(type(status), Level(level).name)
         rows.append(status)
     return new(topics.DIAGNOSTICS_TYPE, header=header(new, stamp_ns), status=rows)
 
 
 def finite(value: float) -> float:
-    """The value, for a field that must be finite; ValueError otherwise."""
+    """The value; ValueError if it is not finite."""
     if not math.isfinite(value):
         raise ValueError(f"{value} is not finite")
     return float(value)
 
 
 def not_negative(value: float) -> float:
-    """The value, for a variance or a sigma; ValueError when negative or not finite."""
+    """The value of a variance or a sigma; ValueError if negative or not finite."""
     if not 0 <= value < math.inf:
         raise ValueError(f"{value} is no variance or sigma")
     return float(value)
@@ -147,7 +147,7 @@ def not_negative(value: float) -> float:
 
 
 def stamp_ns(message: Any) -> int:
-    """The header stamp, ns. A stamp of zero was never set: BadMessage("no_stamp")."""
+    """The header stamp, ns; BadMessage("no_stamp") if it is zero, so was never set."""
     stamp = message.header.stamp
     nanoseconds = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
     if nanoseconds <= 0:
@@ -177,7 +177,7 @@ def _by_name(names: Sequence[str], numbers: Sequence[float]) -> dict[str, float]
 
 
 def usable(value: float) -> float:
-    """A number of a message; BadMessage("not_finite") when it is none."""
+    """A number of a message; BadMessage("not_finite") if it is not finite."""
     if not math.isfinite(value):
         raise BadMessage("not_finite")
     return float(value)

@@ -1,7 +1,7 @@
-"""The car that predicts power, as a message `estimate/model`: the declared fields of `CarModel`.
+"""The learned car model as a message `estimate/model`: the declared fields of `CarModel`.
 
-In place of the equation stand the seed of its network and the size: the rest is in the vehicle
-file.
+The equation is replaced by the seed of its network and the size; the vehicle file has the rest of
+it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.vehicle.files import CONSTANTS, Vehicle
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
 
-MODEL_VERSION = 4  # of what `estimate/model` holds
-MOST_NUMBERS = 100_000  # of a model: twenty times what an estimator sends
-MOST_SEED = 2**53  # a seed is a number of the message
+MODEL_VERSION = 4  # of the content of `estimate/model`
+MOST_NUMBERS = 100_000  # of a model: twenty times as many as an estimator sends
+MOST_SEED = 2**53  # a seed is sent as a float64
 SEED, RELATIVE_SIZE = "seed", "relative_size"
 
 
 def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
-    """std_msgs/Float64MultiArray: all numbers of a car in a row.
+    """std_msgs/Float64MultiArray with all numbers of a car model in a row.
 
-    Its first dimension is labelled `vehicle/version`; one more for each field tells its size, 0 if
+    Its first dimension is labelled `vehicle/version`; one more for each field gives its size, 0 if
     None.
     """
     equation = {SEED: car.equation.seed, RELATIVE_SIZE: car.equation.vehicle.relative_size}
@@ -46,7 +46,7 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
 
 
 def read_model(message: Any, vehicle: Vehicle) -> CarModel:
-    """The car in a message; BadMessage of another vehicle or version, or if numbers do not fit."""
+    """The car model in a message; BadMessage for another vehicle or version, or wrong numbers."""
     if max(len(message.data), len(message.layout.dim)) > MOST_NUMBERS:
         raise BadMessage("too_large")
     sizes = {dimension.label: dimension.size for dimension in message.layout.dim}
@@ -86,7 +86,7 @@ def _parts(value: Any, prefix: str = "") -> dict[str, np.ndarray]:
 
 
 def _value(kind: Any, parts: dict[str, np.ndarray], prefix: str, **given: Any) -> Any:
-    """A value of numbers; those of no declared field are not used."""
+    """A value made from its numbers; numbers without a declared field are ignored."""
     values = dict(given)
     for name, field in declared(kind).items():
         numbers = parts.get(prefix + name)

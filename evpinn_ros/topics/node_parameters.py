@@ -1,6 +1,6 @@
-"""Every parameter of the nodes as data: declared, checked, documented and filed from here.
+"""Table of all parameters of the nodes, from which they are declared, checked and documented.
 
-Knows neither ROS nor the cores, whose words and numbers it repeats; a test compares these.
+It imports neither ROS nor the cores; a test compares the words and limits repeated here with them.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.vehicle.files import load_vehicle
 
 OF_EVERY_NODE = ("use_sim_time", "qos_overrides", "start_type_description_service")
-"""First words of parameters that rclpy gives every node."""
+"""First words of the parameters that rclpy adds to every node."""
 
 FRAMES = "can_msgs"
-"""Interface of a bus that another node reads, and package of the messages it sends."""
+"""`interface` of a bus that another node reads, and package of that node's messages."""
 
 Value: TypeAlias = bool | int | float | str
 
@@ -33,19 +33,19 @@ TYPE_NAMES: Mapping[type, str] = {
 class Parameter:
     """One parameter of a node."""
 
-    name: str  # as in the parameter file
-    default: Value  # also tells the type
+    name: str  # in the parameter file
+    default: Value  # also defines the type
     description: str  # one line for people
-    unit: str = ""  # SI, empty where it has none
+    unit: str = ""  # SI, empty if it has none
     lower: float = -math.inf  # smallest value of a number
     upper: float = math.inf  # largest value of a number
-    choices: tuple[str, ...] = ()  # every word that a text may be, empty if any
+    choices: tuple[str, ...] = ()  # allowed texts, empty if any is allowed
     read_only: bool = True  # fixed once the node runs
-    # raises InputError for a text that is wrong otherwise; not asked when empty
+    # raises InputError for a text that is wrong otherwise; not called for an empty text
     verify: Callable[[str], object] | None = None
 
     def problem(self, value: object) -> str | None:
-        """Reason why a value is refused, None when it is not."""
+        """Reason why a value is refused, None if it is accepted."""
         if type(value) is not type(self.default):
             return f"{self.name} = {value} must be {TYPE_NAMES[type(self.default)]}"
         if isinstance(value, (int, float)) and not self.lower <= value <= self.upper:
@@ -61,14 +61,14 @@ class Parameter:
 
 
 def _known_profile(name: str) -> None:
-    # Here, for cantools takes long to import, and who has no bus needs none of it.
+    # Imported here: cantools takes long to import, and only a bus needs it.
     from evpinn_ros.can.profile import load_profile
 
     load_profile(name)
 
 
 def _known_interface(name: str) -> None:
-    from evpinn_ros.can.bus import INTERFACES  # here, for python-can takes long as well
+    from evpinn_ros.can.bus import INTERFACES  # imported here: python-can takes long too
 
     if name != FRAMES and name not in INTERFACES:
         raise InputError(f"known are {', '.join(sorted({FRAMES, *INTERFACES}))}")
@@ -297,13 +297,13 @@ TABLES: Mapping[str, tuple[Parameter, ...]] = {
 
 
 def of_node(name: str, values: Mapping[str, Value]) -> dict[str, Value]:
-    """The values that are parameters of a node."""
+    """Those of the values that are parameters of this node."""
     names = {parameter.name for parameter in TABLES[name]}
     return {key: value for key, value in values.items() if key in names}
 
 
 def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> None:
-    """InputError for a wrong set of parameters; others have defaults, or are not looked at."""
+    """Raise InputError for wrong values; missing ones have defaults, unknown ones are ignored."""
     all_values = {
         parameter.name: values.get(parameter.name, parameter.default) for parameter in table
     }
@@ -318,7 +318,7 @@ def refuse_wrong(table: tuple[Parameter, ...], values: Mapping[str, object]) -> 
 
 
 def roll_pitch_yaw(text: str) -> tuple[float, float, float] | None:
-    """The angles of `imu_rotation_rpy`, rad, or None if empty; InputError if none."""
+    """The three angles of `imu_rotation_rpy`, rad, or None if empty; InputError if wrong."""
     if not text.strip():
         return None
     try:
@@ -331,7 +331,7 @@ def roll_pitch_yaw(text: str) -> tuple[float, float, float] | None:
 
 
 def bus_options(text: str) -> dict[str, Value]:
-    """`name=value name=value` as numbers and truth values; or InputError."""
+    """Options of a bus from `name=value name=value`; InputError if wrong."""
     options: dict[str, Value] = {}
     for word in text.split():
         name, equals, value = word.partition("=")

@@ -1,4 +1,4 @@
-"""Checks a parameter file of ROS 2 against the table, without ROS and before anything starts."""
+"""Checks a parameter file of ROS 2 against the table, without ROS, before anything starts."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ WILDCARDS = ("*", "**")
 
 
 def check_parameter_file(path: Path) -> None:
-    """Check a file as `--params-file` takes it; InputError with `file:line: reason`."""
+    """Check a file for `--params-file`; InputError with `file:line: reason`."""
     _read(path)
 
 
 def read_parameter_file(path: Path, node: str) -> dict[str, Value]:
-    """The parameters that a file gives to a node of `TABLES`; or InputError."""
+    """The parameters of a node of `TABLES` in a file; InputError if the file is wrong."""
     return _read(path)[node]
 
 
@@ -53,17 +53,17 @@ def _read(path: Path) -> dict[str, dict[str, Value]]:
 def _sections(
     root: Section, node: yaml.Node, name: str
 ) -> Iterator[tuple[str, yaml.Node, yaml.Node]]:
-    """Name of the node, where that stands, and parameters of every section in the file."""
+    """Yields node name, YAML node of the name, and parameters of every section in the file."""
     for key, value in _items(root, node):
         if key.value == PARAMETERS_KEY:
             yield name, node, value
         else:
-            # `/ev/estimator:` and `ev: estimator:` name the same node, as does `/**/estimator:`.
+            # `/ev/estimator:`, `ev: estimator:` and `/**/estimator:` name the same node.
             yield from _sections(root, value, str(key.value).rpartition("/")[2])
 
 
 def _checked(root: Section, nodes: list[str], section: yaml.Node) -> dict[str, Any]:
-    """The values of a section that is for one or for all nodes, each checked by itself."""
+    """The values of a section for one node or for all nodes, each value checked by itself."""
     node_of = {parameter.name: node for node in nodes for parameter in TABLES[node]}
     values: dict[str, Any] = {}
     for key, node in _items(root, section):
@@ -89,7 +89,7 @@ def _items(root: Section, node: yaml.Node) -> list[Item]:
 
 
 def _value(node: yaml.Node) -> object:
-    """The value as ROS reads it: unlike YAML 1.1, `1e5` is a number."""
+    """The value as ROS reads it; unlike in YAML 1.1, `1e5` is a number."""
     value = plain(node)
     if isinstance(value, str) and isinstance(node, yaml.ScalarNode) and node.style is None:
         try:

@@ -30,13 +30,13 @@ ELEVATION_JOINT = "elevation"
 PLAN_TYPES = (PATH_TYPE, TRAJECTORY_TYPE, AUTOWARE_TRAJECTORY_TYPE)
 
 Decode: TypeAlias = Callable[[str, bytes], Any]
-"""Gives the message of a type in CDR bytes; ValueError when there is none."""
+"""Returns the message of this type in CDR bytes; ValueError if there is none."""
 
 
 def plan_of_message(
     type_name: str, data: bytes, decode: Decode, nominal_speed: float = NOMINAL_SPEED
 ) -> Plan:
-    """The plan in CDR bytes of one of `PLAN_TYPES`, of not too many points; or PlanError.
+    """The plan in CDR bytes of one of `PLAN_TYPES`; PlanError if wrong or with too many points.
 
     A path without times is driven at `nominal_speed`, m/s.
     """
@@ -56,11 +56,11 @@ def plan_of_message(
     followed = (
         path_plan(message, nominal_speed) if type_name == PATH_TYPE else trajectory_plan(message)
     )
-    return replace(followed, commanded=True)  # by a controller, of Nav2 or Autoware
+    return replace(followed, commanded=True)  # followed by a controller of Nav2 or Autoware
 
 
 def _point_count(type_name: str, data: bytes) -> int:
-    """Points that a plan says it has; struct.error where its bytes end before."""
+    """Number of points by the length field of a plan; struct.error if the bytes end before it."""
     order = "<" if data[1:2] == b"\1" else ">"
 
     def number(at: int) -> int:
@@ -71,8 +71,8 @@ def _point_count(type_name: str, data: bytes) -> int:
         end = at + 4 + number(at)
         return end + -end % 4
 
-    at = behind_text(12)  # of the frame, which follows four bytes on the encoding and the stamp
-    if type_name == TRAJECTORY_TYPE:  # names of joints
+    at = behind_text(12)  # the frame, after four bytes of encoding and eight of the stamp
+    if type_name == TRAJECTORY_TYPE:  # skip the names of joints
         joints, at = number(at), at + 4
         for _ in range(joints):
             at = behind_text(at)
@@ -80,7 +80,7 @@ def _point_count(type_name: str, data: bytes) -> int:
 
 
 def read_conditions(message: Any) -> PlanConditions:
-    """Conditions of plans in a named vector, NaN as none; BadMessage for others."""
+    """Conditions of plans in a named vector, NaN as not given; BadMessage if wrong."""
     given = dict(zip(message.name, message.position, strict=False))
     if not len(given) == len(message.name) == len(message.position):
         raise BadMessage("lengths_differ")
@@ -102,8 +102,8 @@ def forecast_message(
 ) -> Any:
     """trajectory_msgs/JointTrajectory of the joint `energy`, with the plan's header.
 
-    Times, s, and energies, J, count from the start; power, W. ValueError: not finite, or negative
-    time or sigma.
+    Times, s, and energies, J, count from the start; powers are W, sigmas J; shape (n,) each.
+    ValueError for a number that is not finite, and for a negative time or sigma.
     """
     whole = np.isfinite(np.stack((energies, powers, sigmas))).all()
     if not whole or (sigmas < 0).any() or not 0 <= times.min() <= times.max() < 2**31 - 1:
@@ -124,14 +124,14 @@ def forecast_message(
 
 
 def question(header: Any) -> Question:
-    """Question of a plan: plans of one stamp and `asker/...` as frame are asked together."""
+    """The question of a plan: plans with one stamp and frame `asker/...` belong together."""
     asker, slash, _ = header.frame_id.rpartition("/")
     together = (header.stamp.sec, header.stamp.nanosec, asker) if slash else None
     return Question(header.frame_id, together)
 
 
 def path_plan(message: Any, nominal_speed: float = NOMINAL_SPEED) -> Plan:
-    """The plan in a nav_msgs/Path; without stamps on its poses it is driven at nominal speed."""
+    """The plan in a nav_msgs/Path, driven at nominal speed, m/s, if its poses have no stamps."""
     x, y, z = _positions(message.poses)
     seconds = _seconds(pose.header.stamp for pose in message.poses)
     return plan_from_path(x, y, z, seconds, nominal_speed=nominal_speed)
@@ -159,12 +159,12 @@ def speed_profile_plan(message: Any) -> Plan:
 def trajectory_plan(message: Any) -> Plan:
     """The plan in an autoware_planning_msgs/Trajectory; or PlanError.
 
-    Where its times do not rise, they are those of its speeds; it then ends where it stops.
+    If its times do not rise, they are computed from its speeds, and the plan ends where it stops.
     """
     points = message.points
     x, y, z = _positions(points)
     speed = np.array([point.longitudinal_velocity_mps for point in points])
-    with np.errstate(invalid="ignore", over="ignore"):  # the plan refuses what is not finite
+    with np.errstate(invalid="ignore", over="ignore"):  # the plan refuses such numbers
         legs = np.sqrt(sum(np.diff(axis) ** 2 for axis in (x, y, z)))
     distance = np.concatenate(([0.0], np.cumsum(legs)))
     seconds = _seconds(point.time_from_start for point in points)
@@ -176,7 +176,7 @@ def trajectory_plan(message: Any) -> Plan:
 
 
 def _seconds_of_speeds(distance: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, int]:
-    """Seconds at which each point is passed until the car stops, and how many points that are."""
+    """Time, s, of each point until the car stops, and the number of these points."""
     stops = np.flatnonzero(speed[1:] == 0)
     count = stops[0] + 2 if stops.size else len(speed)
     length, twice_mean = np.diff(distance[:count]), speed[1:count] + speed[: count - 1]
@@ -193,6 +193,6 @@ def _positions(items: Sequence[Any]) -> np.ndarray:
 
 
 def _seconds(times: Iterable[Any]) -> np.ndarray:
-    """Seconds since the first time; exact, where seconds since 1970 would be 240 ns coarse."""
+    """Seconds since the first time, exactly: floats of seconds since 1970 resolve only 240 ns."""
     stamps = np.array([time.sec * NANOSECONDS + time.nanosec for time in times], np.int64)
     return (stamps - stamps[:1]) / NANOSECONDS

@@ -1,4 +1,4 @@
-"""The messages of readings, both ways; see `messages` for how builders and readers behave."""
+"""Conversion between readings and messages, both ways; errors as in `messages`."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from evpinn_ros.topics.messages import (
 
 HEATING = "heating"
 TORQUE, MOTOR_SPEED = "torque", "speed"
-UNIT_TOLERANCE = 0.02  # of |q|^2: float32 drivers and rounded logs pass, an unset quaternion not
+UNIT_TOLERANCE = 0.02  # of |q|^2: passes float32 drivers and rounded logs, but no unset quaternion
 
 # Constants of the message definitions (sensor_msgs 5.x), the same for every class family.
 STATUS_FIX, COVARIANCE_UNKNOWN = 0, 0
 SUPPLY_UNKNOWN, SUPPLY_DISCHARGING = 0, 2
 FLOAT32_MAX = 3.4028234663852886e38
-MOST_BATTERIES, LEAST_CHANGES = 8, 10  # that are named; from one to the other
-OVERFULL = 1.5  # a charge up to which a scale of 0..1 may go
+MOST_BATTERIES, LEAST_CHANGES = 8, 10  # batteries that are counted; changes from one to another
+OVERFULL = 1.5  # largest charge on a scale of 0..1
 NOT_PROVIDED = -1.0  # first element of a covariance: the quantity was not measured
 
 
 def speed_message(new: NewMessage, reading: SpeedReading) -> Any:
-    """Forward speed; an unknown variance is 0, as ROS marks an unknown covariance."""
+    """Forward speed; an unknown variance is 0, the convention of ROS."""
     variance = 0.0 if math.isnan(reading.variance) else not_negative(reading.variance)
     linear = new("geometry_msgs/msg/Vector3", x=finite(reading.speed))
     twist = new("geometry_msgs/msg/Twist", linear=linear)
@@ -65,7 +65,7 @@ def speed_message(new: NewMessage, reading: SpeedReading) -> Any:
 
 
 def battery_message(new: NewMessage, reading: BatteryReading) -> Any:
-    """Voltage, current (negative discharges) and charge; never CHARGING, for planners."""
+    """Voltage, current (negative discharges) and charge; the status is never CHARGING."""
     if not (math.isnan(reading.state_of_charge) or 0 <= reading.state_of_charge <= 1):
         raise ValueError(f"state of charge {reading.state_of_charge} is outside 0..1")
     return new(
@@ -87,7 +87,7 @@ def _float32(value: float) -> float:
 
 
 def imu_message(new: NewMessage, reading: GradeReading) -> Any:
-    """Attitude alone: uphill is negative pitch (REP-103); rates and accelerations not provided."""
+    """Attitude only: uphill is negative pitch (REP-103); rates and accelerations not provided."""
     half = -finite(reading.grade) / 2
     not_provided = [NOT_PROVIDED] + 8 * [0.0]
     return new(
@@ -100,7 +100,7 @@ def imu_message(new: NewMessage, reading: GradeReading) -> Any:
 
 
 def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
-    """Altitude as of its source, latitude and longitude or NaN; FIX makes it valid."""
+    """Altitude, latitude and longitude, or NaN; STATUS_FIX marks it as valid."""
     return new(
         topics.FIX_TYPE,
         header=header(new, reading.stamp_ns, VEHICLE_FRAME),
@@ -113,7 +113,7 @@ def altitude_message(new: NewMessage, reading: AltitudeReading) -> Any:
 
 
 def temperature_message(new: NewMessage, reading: TemperatureReading) -> Any:
-    """Ambient temperature; variance 0 is unknown."""
+    """Ambient temperature; variance 0 means unknown."""
     return new(
         topics.TEMPERATURE_TYPE,
         header=header(new, reading.stamp_ns),
@@ -122,7 +122,7 @@ def temperature_message(new: NewMessage, reading: TemperatureReading) -> Any:
 
 
 def pressure_message(new: NewMessage, reading: PressureReading) -> Any:
-    """Pressure of the air outside; variance 0 is unknown."""
+    """Pressure of the outside air; variance 0 means unknown."""
     return new(
         topics.PRESSURE_TYPE,
         header=header(new, reading.stamp_ns),
@@ -131,7 +131,7 @@ def pressure_message(new: NewMessage, reading: PressureReading) -> Any:
 
 
 def wind_message(new: NewMessage, reading: WindReading) -> Any:
-    """Velocity of the air over ground in the frame of the car: a head wind blows towards -x."""
+    """Velocity of the air over ground in the car's frame: a head wind blows towards -x."""
     return new(
         topics.WIND_TYPE,
         header=header(new, reading.stamp_ns, VEHICLE_FRAME),
@@ -146,7 +146,7 @@ def auxiliary_message(new: NewMessage, reading: AuxiliaryReading) -> Any:
 
 
 def motor_message(new: NewMessage, reading: MotorReading) -> Any:
-    """Named vector of `torque`, N m, and of `speed`, rad/s, where it is known."""
+    """Named vector of `torque`, N m, and, if known, of `speed`, rad/s."""
     values = {TORQUE: reading.torque}
     if not math.isnan(reading.speed):
         values[MOTOR_SPEED] = reading.speed
@@ -154,12 +154,12 @@ def motor_message(new: NewMessage, reading: MotorReading) -> Any:
 
 
 def reading_message(new: NewMessage, reading: Reading) -> Any:
-    """The message of any reading, the inverse of `to_reading`."""
+    """The message of any reading; the inverse of `to_reading`."""
     return _WRITTEN[type(reading)][1](new, reading)
 
 
 def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -> Reading:
-    """The reading in a message, of an Imu by its mounting; BadMessage with the reason."""
+    """The reading in a message; `mounting` is that of an Imu. BadMessage has the reason."""
     if type_name == topics.IMU_TYPE:
         return grade_reading(message, mounting)
     try:
@@ -170,7 +170,7 @@ def to_reading(type_name: str, message: Any, mounting: Rotation | None = None) -
 
 
 def reading_messages(new: NewMessage, reading: Reading) -> Iterator[tuple[Topic, Any]]:
-    """A reading's own message, and voltage and current for plots; or ValueError."""
+    """The message of a reading, and for plots voltage and current; ValueError if not finite."""
     yield READING_TOPICS[type(reading)], reading_message(new, reading)
     if isinstance(reading, BatteryReading):
         if not math.isnan(reading.voltage):
@@ -203,13 +203,13 @@ def rotation(roll: float, pitch: float, yaw: float) -> Rotation:
 def grade_reading(message: Any, mounting: Rotation | None = None) -> GradeReading:
     """Grade of an Imu: positive pitch is nose down (REP-103), so grade = -pitch.
 
-    `mounting` is the rotation from `base_link` to the frame of the message, which else must be
-    `base_link`.
+    `mounting` is the rotation from `base_link` to the frame of the message; without it, that frame
+    must be `base_link`.
     """
     if message.orientation_covariance[0] == NOT_PROVIDED:
         raise BadMessage("no_orientation", lasting=True)
     q = message.orientation
-    # Products, for a power of a huge number raises where its product is infinite.
+    # Products, because `**` of a huge number raises OverflowError; a product is infinite.
     square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
     if not abs(square - 1) <= UNIT_TOLERANCE:
         raise BadMessage("quaternion_not_unit")
@@ -224,7 +224,7 @@ def grade_reading(message: Any, mounting: Rotation | None = None) -> GradeReadin
 
 
 def _undo(q: Any, mounting: Rotation) -> Rotation:
-    """The orientation of the car, from that of what is mounted on it: q times its inverse."""
+    """The orientation of the car: that of the sensor, q, times the inverse of the mounting."""
     x, y, z, w = -mounting.x, -mounting.y, -mounting.z, mounting.w
     return Rotation(
         q.w * x + q.x * w + q.y * z - q.z * y,
@@ -235,7 +235,7 @@ def _undo(q: Any, mounting: Rotation) -> Rotation:
 
 
 def speed_reading(message: Any) -> SpeedReading:
-    """Speed of a TwistWithCovarianceStamped; a variance of 0 or less is unknown."""
+    """Speed of a TwistWithCovarianceStamped; a variance of 0 or less means unknown."""
     variance = float(message.twist.covariance[0])
     has_variance = 0 < variance < math.inf
     speed = usable(message.twist.twist.linear.x)
@@ -243,9 +243,9 @@ def speed_reading(message: Any) -> SpeedReading:
 
 
 def odometry_reading(message: Any) -> SpeedReading:
-    """Speed of an Odometry over ground, with the sign of its forward part.
+    """Speed over ground of an Odometry, with the sign of its forward component.
 
-    In the frame of a map there is no forward part: the size counts.
+    A twist in the frame of a map has no forward component: its magnitude counts.
     """
     forward, sideways = (usable(getattr(message.twist.twist.linear, axis)) for axis in "xy")
     size = math.hypot(forward, sideways)
@@ -254,7 +254,7 @@ def odometry_reading(message: Any) -> SpeedReading:
 
 
 def in_frame_of_map(message: Any) -> bool:
-    """True if the twist of an Odometry is in the frame of its pose, which is not the car's."""
+    """True if the twist of an Odometry is in the frame of its pose, not in the car's."""
     return bool(message.child_frame_id) and message.child_frame_id == message.header.frame_id
 
 
@@ -264,7 +264,7 @@ def velocity_report_reading(message: Any) -> SpeedReading:
 
 
 def battery_reading(message: Any) -> BatteryReading:
-    """Voltage and current, NaN where not measured; percentage as sent, NaN outside 0..100."""
+    """Voltage and current, NaN if not measured; percentage as sent, NaN outside 0..100."""
     voltage, current, charge = map(float, (message.voltage, message.current, message.percentage))
     charge = charge if 0 <= charge <= 100 else math.nan
     if math.isinf(voltage) or math.isinf(current):
@@ -275,14 +275,14 @@ def battery_reading(message: Any) -> BatteryReading:
 
 
 class Batteries:
-    """Batteries that the messages of one topic are of, by serial number, location and frame."""
+    """Counts the batteries of one topic, by serial number, location and frame."""
 
     def __init__(self) -> None:
         self.names: dict[str, None] = {}
         self._last, self._changes = "", 0
 
     def add(self, message: Any) -> None:
-        """Count a change where this battery is another than the last."""
+        """Count a change if the battery of this message differs from the last one."""
         parts = message.serial_number, message.location, message.header.frame_id
         name = "/".join(filter(None, parts))
         self._changes += bool(self._last) and name != self._last
@@ -292,21 +292,21 @@ class Batteries:
 
     @property
     def take_turns(self) -> bool:
-        """True if they came in turns; one that took the place of another did so once."""
+        """True if batteries alternate; a replaced battery changes only once."""
         return self._changes >= LEAST_CHANGES
 
 
 class ChargeScale:
-    """Scale of a publisher's state of charge: 0..1, or 0..100 once it is far beyond 1.
+    """Scale of a publisher's state of charge: 0..1, or 0..100 once a value is far above 1.
 
-    Decided once: counting to 100 would read 1 % as full. A little beyond 1 before is unknown.
+    Decided once, as 1 % would look full on 0..100. Before, values slightly above 1 are unknown.
     """
 
     def __init__(self) -> None:
         self._full = 1.0
 
     def reading(self, reading: Reading) -> Reading:
-        """A reading whose state of charge is 0..1, or NaN."""
+        """The reading with its state of charge as 0..1, or NaN."""
         if not isinstance(reading, BatteryReading) or math.isnan(reading.state_of_charge):
             return reading
         if reading.state_of_charge > OVERFULL:
@@ -318,7 +318,7 @@ class ChargeScale:
 
 
 def altitude_reading(message: Any) -> AltitudeReading:
-    """Altitude of a NavSatFix, which is valid from STATUS_FIX on; its position if it is one."""
+    """Altitude and, if possible, position of a NavSatFix, valid from STATUS_FIX on."""
     if message.status.status < STATUS_FIX:
         raise BadMessage("no_fix", usual=True)
     stamp, altitude = stamp_ns(message), usable(message.altitude)
@@ -344,7 +344,7 @@ def wind_reading(message: Any) -> WindReading:
 
 
 def auxiliary_reading(message: Any) -> AuxiliaryReading:
-    """The named loads, W: what is named after heating, and the sum of all others."""
+    """The named loads, W: the sum of those with `heating` in their name, and of all others."""
     vector = read_named_vector(message)
     if not vector.values:
         raise BadMessage("nothing_measured")
@@ -365,7 +365,7 @@ def motor_reading(message: Any) -> MotorReading:
 
 
 def _named_vector_reading(message: Any) -> AuxiliaryReading | MotorReading:
-    """Two inputs share the type: motors name a `torque`, loads do not."""
+    """The reading in a JointState: of a motor if it has a `torque`, else of loads."""
     return motor_reading(message) if TORQUE in message.name else auxiliary_reading(message)
 
 
@@ -393,4 +393,4 @@ _WRITTEN: Mapping[type[Reading], tuple[Topic, Callable[[NewMessage, Any], Any]]]
     MotorReading: (topics.MOTOR_TORQUE, motor_message),
 }
 READING_TOPICS = {kind: topic for kind, (topic, _) in _WRITTEN.items()}
-"""Topic on which each kind of reading is written."""
+"""Topic on which each type of reading is written."""

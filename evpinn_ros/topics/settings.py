@@ -1,4 +1,4 @@
-"""From the parameters of a node to the settings of its core. Knows no ROS."""
+"""Settings of a core from the parameters of its node, without ROS."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
-    """Settings of the estimator from all parameters of its table, by name and checked."""
-    # Here: the node `energy` needs none of it.
+    """Settings of the estimator from all parameters of its table, by name; already checked."""
+    # Imported here: the node `energy` does not need it.
     from evpinn_ros.core.estimation.estimator import EstimatorSettings, Mode, PaperOptimizer
 
     stream = StreamSettings(
@@ -38,16 +38,16 @@ def estimator_settings(values: Mapping[str, Any]) -> EstimatorSettings:
 
 
 def imu_mounting(values: Mapping[str, Any]) -> Rotation | None:
-    """Mounting of the IMU, from all parameters of the estimator; None if not given."""
+    """Mounting of the IMU from all parameters of the estimator; None if not given."""
     angles = roll_pitch_yaw(values["imu_rotation_rpy"])
     return None if angles is None else rotation(*angles)
 
 
 def jump_rule(values: Mapping[str, Any]) -> JumpRule:
-    """Rule for jumps of time, from all parameters of a node."""
+    """Rule for jumps of time from all parameters of a node."""
     return _jump_rule(values["time_jump_policy"], values["time_jump_threshold"])
 
 
-@cache  # it is asked for with every message
+@cache  # called for every message
 def _jump_rule(policy: str, threshold: float) -> JumpRule:
     return JumpRule(JumpPolicy(policy), threshold)

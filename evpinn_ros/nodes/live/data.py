@@ -1,4 +1,4 @@
-"""Newest messages of a running system; knows neither ROS nor a clock, but s of arrival."""
+"""Newest messages of a running system with their times of arrival, s; without ROS or a clock."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ NODES = ("can_bridge", "estimator", "energy", "recorder")
 STALE_AFTER = 3.0  # s without a message
 RATE_WINDOW = 5.0  # s over which messages are counted
 MOST_ARRIVALS = 5000  # of a topic, for its rate
-MOST_PARTS = 50  # of all nodes that are followed; ours have ten
-LEAST_DISTANCE = 100.0  # m; over less a consumption says nothing
-BIN_NS = 500_000_000  # of the power line
+MOST_PARTS = 50  # of all followed nodes; ours have ten
+LEAST_DISTANCE = 100.0  # m; a consumption over less means nothing
+BIN_NS = 500_000_000  # bins of the power line
 KEPT_BINS = 600  # five minutes
-STARTED_OVER_NS = 10 * 10**9  # stamps that go back further are no stragglers
+STARTED_OVER_NS = 10 * 10**9  # stamps further back mean a restart
 NOTHING = "nothing received yet: are nodes up (evpinn run), with this ROS_DOMAIN_ID?"
 
 
 class ParameterRow(NamedTuple):
-    """One parameter; NaN and empty where nothing was received."""
+    """One parameter; NaN and empty text if nothing was received."""
 
     name: str
     value: float
@@ -58,7 +58,7 @@ class ParameterRow(NamedTuple):
 
 
 class PartStatus(NamedTuple):
-    """Newest status of a part of a node, and its time of arrival."""
+    """Newest status of a part of a node, and its time of arrival, s."""
 
     level: Level
     text: str
@@ -67,14 +67,14 @@ class PartStatus(NamedTuple):
 
 
 class PowerHistory:
-    """The mean power of each half second, of several kinds beside each other."""
+    """Mean power of each half second, for several kinds of power."""
 
     def __init__(self) -> None:
         self.newest_ns: int | None = None  # the newest stamp of any kind, None before the first
         self._bins: dict[str, dict[int, tuple[float, int]]] = {}
 
     def add(self, kind: str, stamp_ns: int, power: float) -> None:
-        """Add one value, W; when time starts over, so does the line."""
+        """Add one value, W; the line restarts when time does."""
         if self.newest_ns is not None and stamp_ns < self.newest_ns - STARTED_OVER_NS:
             self._bins.clear()
             self.newest_ns = None
@@ -87,7 +87,7 @@ class PowerHistory:
             del bins[min(bins)]
 
     def last(self, kind: str, count: int) -> list[float]:
-        """The newest bins, W, oldest first; NaN where nothing was received."""
+        """The newest bins, W, oldest first; NaN if nothing was received."""
         bins = self._bins.get(kind, {})
         if self.newest_ns is None:
             return [math.nan] * count
@@ -100,15 +100,15 @@ class PowerHistory:
 
 
 class LiveData:
-    """Takes messages, answers what a screen shows."""
+    """Takes messages, and returns the values that a screen shows."""
 
     def __init__(self, namespace: str = topics.NAMESPACE, units: Units = METRIC) -> None:
         self.units, self._namespace = units, namespace.strip("/")
-        self.speed = math.nan  # m/s, NaN when not known
+        self.speed = math.nan  # m/s, NaN while unknown
         self.battery: BatteryReading | None = None  # the last reading, None before the first
         self.line = PowerHistory()  # power of the last minutes
         self.statuses: dict[str, PartStatus] = {}  # of the parts of our nodes, by `node: part`
-        self.unusable: Counter[str] = Counter()  # messages that held no usable value, by topic
+        self.unusable: Counter[str] = Counter()  # messages without a usable value, by topic
         self._elsewhere: set[str] = set()  # namespaces of nodes like ours
         self._vectors: dict[Topic, NamedVector] = {}
         self._arrivals: defaultdict[Topic, deque[float]] = defaultdict(
@@ -119,7 +119,7 @@ class LiveData:
         self._charge_scale = ChargeScale()
 
     def take(self, topic: Topic, message: Any, now: float) -> None:
-        """Take one message of `WATCHED`, of any class family."""
+        """Take one message of a topic of `WATCHED`, of any class family, at `now`, s."""
         self._first.setdefault(topic, now)
         self._last[topic] = now
         self._arrivals[topic].append(now)
@@ -147,12 +147,12 @@ class LiveData:
         node, _, part = status.name.partition(":")
         namespace, _, node = node.strip("/").rpartition("/")
         if node not in NODES:
-            return  # of somebody else: everybody shares this topic
+            return  # of another node: all nodes share this topic
         if namespace != self._namespace:
             if len(self._elsewhere) < MOST_PARTS:
                 self._elsewhere.add(printable(f"/{namespace}"))
             return
-        # rclpy holds a byte as bytes, rosbags as int.
+        # rclpy stores a byte as bytes, rosbags as int.
         level = status.level if isinstance(status.level, int) else status.level[0]
         values = {pair.key: printable(pair.value) for pair in status.values}
         known = Level(min(level, Level.STALE))
@@ -168,7 +168,7 @@ class LiveData:
         return now - self._last.get(topic, -math.inf)
 
     def rate(self, topic: Topic, now: float) -> float:
-        """Messages per second of late."""
+        """Messages per second in the last `RATE_WINDOW`."""
         arrivals = self._arrivals[topic]
         while arrivals and arrivals[0] <= now - RATE_WINDOW:
             arrivals.popleft()
@@ -176,19 +176,19 @@ class LiveData:
         return len(arrivals) / span
 
     def power(self, topic: Topic, now: float) -> Uncertain:
-        """Measured or predicted power, W, unknown when it has fallen silent."""
+        """Measured or predicted power, W, unknown if its topic is silent."""
         if self.age(topic, now) >= STALE_AFTER:
             return UNKNOWN
         values, sigmas = self.vector(topic), self.sigmas(topic)
         return Uncertain(values.get(POWER, math.nan), sigmas.get(POWER, math.nan))
 
     def fresh_speed(self, now: float) -> float:
-        """Speed, m/s, NaN when it has fallen silent."""
+        """Speed, m/s, NaN if its topic is silent."""
         age = min(self.age(topic, now) for topic in topics.SPEEDS)
         return self.speed if age < STALE_AFTER else math.nan
 
     def fresh_battery(self, now: float) -> BatteryReading | None:
-        """Voltage and current, None when they have fallen silent."""
+        """Voltage and current, None if their topic is silent."""
         return self.battery if self.age(topics.BATTERY, now) < STALE_AFTER else None
 
     def vector(self, topic: Topic) -> Mapping[str, float]:
@@ -197,17 +197,17 @@ class LiveData:
         return {} if vector is None else vector.values
 
     def sigmas(self, topic: Topic) -> Mapping[str, float]:
-        """The last 1-sigmas of a named vector, empty where not received."""
+        """The last 1-sigmas of a named vector, empty if not received."""
         vector = self._vectors.get(topic)
         return {} if vector is None else vector.sigmas
 
     def charge(self) -> float:
-        """State of charge, 0 to 1, NaN where unknown: projected to now, else as last received."""
+        """State of charge, 0..1, projected to now or else as last received; NaN if unknown."""
         received = math.nan if self.battery is None else self.battery.state_of_charge
         return self.vector(topics.ENERGY_RANGE).get("state_of_charge", received)
 
     def consumption(self) -> float:
-        """Wh/km of this trip, NaN while unknown; the node gives it from the first km on."""
+        """Wh/km of this trip, NaN while unknown; the node publishes it from the first km on."""
         consumption = self.vector(topics.ENERGY_CONSUMPTION)
         distance = consumption.get("distance_trip", 0.0)
         if "wh_per_km_trip" in consumption or distance < LEAST_DISTANCE:
@@ -216,7 +216,7 @@ class LiveData:
         return consumed / 3600.0 / (distance / 1000.0)
 
     def parameters(self) -> list[ParameterRow]:
-        """All parameters, also those of which nothing was received."""
+        """All parameters, received or not."""
         values, sigmas = self.vector(topics.PARAMETERS), self.sigmas(topics.PARAMETERS)
         bounds, status = self.vector(topics.BOUNDS), self._estimator()
         return [
@@ -232,7 +232,7 @@ class LiveData:
         ]
 
     def seen(self) -> list[list[float]]:
-        """Samples learned from: a row for each of `MANNERS`, a column for each of `SPEEDS`."""
+        """Counts of learned samples: rows by `MANNERS`, columns by `SPEEDS`."""
         values = self._estimator()
         return [
             [_number(values.get(f"seen.{speed}_kmh_{manner}")) for speed in SPEEDS]
@@ -240,16 +240,16 @@ class LiveData:
         ]
 
     def band_coverage(self) -> float:
-        """Share of recent samples in the 90 % band of power/predicted, NaN when not received."""
+        """Share of recent samples in the 90 % band of power/predicted, NaN if not received."""
         return _number(self._estimator().get("in_90_band.predicted"))
 
     @property
     def received(self) -> bool:
-        """True once there was any message."""
+        """True once any message was received."""
         return bool(self._last)
 
     def problems(self, now: float) -> list[tuple[Level, str]]:
-        """Missing inputs and their reasons, the worst first; empty when all is well."""
+        """Missing inputs and their reasons, the worst first; empty without problems."""
         if not self.received:
             return [(Level.WARN, NOTHING)]
         if not self.statuses:
@@ -278,7 +278,7 @@ class LiveData:
         return sorted(problems, key=lambda problem: problem[0], reverse=True)
 
     def activity(self, now: float) -> str:
-        """Activity of the estimator, in its own words; empty when it sends nothing."""
+        """Activity of the estimator, in its own words; empty if it is silent."""
         status = self.statuses.get("estimator: estimate")
         return status.text if status is not None and now - status.arrived < STALE_AFTER else ""
 
@@ -288,7 +288,7 @@ class LiveData:
 
 
 def _number(text: str | None) -> float:
-    """A value of a status; NaN when it was not received or is no number."""
+    """A value of a status; NaN if it was not received or is no number."""
     try:
         return math.nan if text is None else float(text)
     except ValueError:

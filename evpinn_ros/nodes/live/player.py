@@ -1,4 +1,4 @@
-"""Plays a bag on its ROS topics, to whatever shows them."""
+"""Plays a bag on its ROS topics for viewers."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from evpinn_ros.nodes.factory import is_installed, message_class, qos_profile
 from evpinn_ros.nodes.live.data import NODES
 from evpinn_ros.topics import QUEUE_DEPTH, Qos
 
-LONGEST_PAUSE = 10.0  # s of the bag: a stretch without messages takes no longer
+LONGEST_PAUSE = 10.0  # s; longer parts of the bag without messages are shortened to it
 POLL = 0.1  # s
-DISCOVERY = 1.0  # s in which the other subscribers become known too
+DISCOVERY = 1.0  # s to discover the other subscribers too
 KEPT = Qos(reliable=True, transient_local=True, depth=QUEUE_DEPTH)  # suits every subscriber
 
 
 def play(reader: BagReader, rate: float, loop: bool, note: Callable[[str], None]) -> None:
-    """Play from the moment a viewer subscribes, and keep the last messages until a signal.
+    """Play once a viewer subscribes, and keep the last messages until a signal.
 
-    InputError: nothing that can be shown, or nodes run here that would learn from the bag.
+    InputError: the bag has nothing to show, or running nodes would learn from it.
     """
     types = {
         name: info.type_name
@@ -70,7 +70,7 @@ class _Player(Node):
         }
 
     def watched(self) -> bool:
-        """True if a viewer subscribes; InputError for a node that would take it for a drive."""
+        """True if a viewer subscribes; InputError for a node that would learn from the bag."""
         subscribers = {
             info.node_name
             for name in self._outlets
@@ -84,7 +84,7 @@ class _Player(Node):
         return bool(subscribers)
 
     def play(self, reader: BagReader, rate: float) -> None:
-        """Publish every message at its time, as the bytes that were recorded."""
+        """Publish the recorded bytes of every message at its time."""
         due, before_ns = time.monotonic(), None
         for record in reader.raw_records(self._outlets):
             passed = 0.0 if before_ns is None else (record.log_time_ns - before_ns) / NANOSECONDS

@@ -1,4 +1,4 @@
-"""The live view as text of a given size, as one line without a terminal, and for scripts."""
+"""The live view as text of a given size, as one line for pipes, and as JSON for scripts."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ RATES = {
 WIDE = 76  # characters from which every column is shown
 AXIS_WIDTH = 6
 MOST_CHART_ROWS, MOST_PROBLEMS, MOST_BREAKDOWN_ROWS = 6, 3, 2
-BESIDE = {"measured", "regained"}  # of the breakdown: not parts that add up
+BESIDE = {"measured", "regained"}  # of the breakdown: not parts of the sum
 UNKNOWN = "-"
-GREATEST = 1e7  # shown in full
+GREATEST = 1e7  # largest number shown in full
 BEYOND_ANY_CAR = 1e9  # W
 BRAILLE = 0x2800  # the character without dots
 # Bit of each dot of a character: column, then row from the top.
@@ -63,10 +63,10 @@ COLUMNS = (
 
 
 def screen(data: LiveData, now: float, width: int, height: int) -> Text:
-    """The view, never wider or higher than asked; what does not fit is left out, by weight."""
+    """The view, within the given width and height; less important rows are left out."""
     problems = data.problems(now)
     breakdown = list(_breakdown(data, width))
-    # In the order of their weight, with the rows that each needs.
+    # In the order of importance, with the rows that each needs.
     needs = {
         "title": 1,
         "problems": min(len(problems), 1),
@@ -128,7 +128,7 @@ def _title(data: LiveData, now: float, width: int) -> Text:
     battery = data.fresh_battery(now)
     right = f"{_speed(data, now)} "
     if battery is not None:
-        drawn = f"{_number(0.0 - battery.current, 1)} A drawn"  # as power: + is drawn
+        drawn = f"{_number(0.0 - battery.current, 1)} A drawn"  # sign as of power: + is drawn
         right = f"{_number(battery.voltage, 0)} V  {drawn}  {right}"
     room = max(width - len(right) - 1, 0)
     silent = "estimator silent" if data.received else "no nodes"
@@ -188,7 +188,7 @@ def _power(data: LiveData, now: float, width: int, rows: int) -> Iterable[Text]:
 
 
 def power_axis(values: Sequence[float]) -> tuple[float, float]:
-    """Round ends, W, of an axis that holds zero and all values a car can have; NaN are none."""
+    """Round ends, W, of an axis with zero and all possible values; NaN are ignored."""
     plausible = [value for value in values if abs(value) < BEYOND_ANY_CAR]
     low, high = min([0.0, *plausible]), max([0.0, *plausible])
     span = max(high - low, 1000.0)
@@ -200,7 +200,7 @@ def power_axis(values: Sequence[float]) -> tuple[float, float]:
 def braille_line(
     values: Sequence[float], width: int, height: int, axis: tuple[float, float]
 ) -> list[str]:
-    """Rows of Braille from the top: two values a character, oldest first; NaN is a gap."""
+    """Rows of Braille from the top, with two values per character, oldest first; NaN is a gap."""
     low, high = axis
     cells = [[0] * width for _ in range(height)]
     last_row = height * DOT_ROWS - 1
@@ -211,7 +211,7 @@ def braille_line(
             continue
         share = min(max((value - low) / (high - low), 0.0), 1.0)
         row = round((1.0 - share) * last_row)
-        # Joined to the value before, without a second dot beside that one.
+        # Joined to the previous value, without a second dot beside its dot.
         step = 0 if before is None or before == row else (1 if row > before else -1)
         first = row if before is None or not step else before + step
         for dot in range(min(first, row), max(first, row) + 1):
@@ -234,7 +234,7 @@ def _owner(data: LiveData) -> Text:
 
 
 def _range(data: LiveData) -> str:
-    """Distance to empty with its 90 % band; why there is none, if the charge is known."""
+    """Distance to empty with its 90 % band; while unknown, from which distance on it is shown."""
     values = data.vector(topics.ENERGY_RANGE)
     ends = ("to_empty", "lower", "upper")
     metres = (values.get(f"distance_{end}", math.nan) for end in ends)
@@ -258,7 +258,7 @@ def _breakdown(data: LiveData, width: int) -> Iterable[Text]:
 
 
 def _amounts(data: LiveData) -> list[str]:
-    """Each part with its 1-sigma, Wh, the largest first."""
+    """Text of each part of the energy with its 1-sigma, Wh, the largest first."""
     values = data.vector(topics.ENERGY_BREAKDOWN)
     sigmas = data.sigmas(topics.ENERGY_BREAKDOWN)
     names = sorted(set(values) - BESIDE, key=lambda name: -abs(values[name]))
@@ -335,7 +335,7 @@ def _cell(text: str, width: int, *, right: bool = False) -> str:
 
 
 def as_json(data: LiveData, now: float) -> dict[str, Any]:
-    """State of the system for scripts (`evpinn watch --json`): SI, None or NaN where unknown."""
+    """State of the system for scripts (`evpinn watch --json`): SI, None or NaN if unknown."""
     battery = data.fresh_battery(now)
     parts, sigmas = data.vector(topics.ENERGY_BREAKDOWN), data.sigmas(topics.ENERGY_BREAKDOWN)
     return {

@@ -1,4 +1,4 @@
-"""Live view of a running system: takes our topics, and shows them ten times a second."""
+"""Live view of a running system: receives our topics, and shows them ten times a second."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from evpinn_ros.topics import NAMESPACE, QUEUE_DEPTH, Qos
 
 PERIOD = 0.1  # s between two pictures
 PLAIN_PERIOD = 1.0  # s between two lines
-YIELDS = 5  # of niceness: the nodes come first
-END_TIMEOUT = 5.0  # s for the view to leave the terminal as it was
+YIELDS = 5  # niceness: the nodes have priority
+END_TIMEOUT = 5.0  # s for the view to restore the terminal
 
 Show = Callable[[LiveData, float], None]
 
 
 class LiveListener(Node):
-    """Receives what the view shows and sends nothing itself."""
+    """Receives the topics of the view, and publishes nothing."""
 
     def __init__(self, namespace: str, units: Units) -> None:
         super().__init__(
@@ -53,12 +53,12 @@ class LiveListener(Node):
         self._inputs = {
             topic: self.create_subscription(
                 message_class(topic.type_name), topic.name, lambda _: None, profile
-            )  # never called back: there is no executor
+            )  # never called: there is no executor
             for topic in installed(WATCHED)
         }
 
     def take_all(self) -> None:
-        """Take all that came, without an executor, which wakes for each message."""
+        """Take all waiting messages; an executor would wake for each of them."""
         for topic, subscription in self._inputs.items():
             for _ in range(QUEUE_DEPTH):
                 with subscription.handle:
@@ -77,11 +77,11 @@ def watch(
 ) -> None:
     """Show a running system until a signal, or until the parent process has gone.
 
-    `plain` prints lines; `json_file` (`-`: stdout) gets a JSON object a second. InputError: no
-    namespace, no ROS, or the file is there.
+    `plain` prints lines; `json_file` (`-`: stdout) gets a JSON object a second. InputError: wrong
+    namespace, no ROS, or the file exists.
     """
     os.nice(YIELDS)
-    # As in `running.run`: rclpy shuts down at SIGINT by itself.
+    # As in `running.run`: rclpy's own handler shuts down at SIGINT.
     signal.signal(signal.SIGINT, lambda *_: None)
     started = False
     try:
@@ -90,13 +90,13 @@ def watch(
         listener = LiveListener(namespace, units)
     except (NameValidationException, NotInitializedException, RuntimeError) as error:
         if started and not rclpy.ok():
-            return  # a signal came while the view began
+            return  # a signal during the start
         rclpy.try_shutdown()
         raise InputError(" ".join(str(error).split())) from error
     if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # not every terminal knows Braille
+        sys.stdout.reconfigure(errors="replace")  # not every terminal can show Braille
     console = Console(highlight=False)
-    # rich alone would take a pipe for a terminal where FORCE_COLOR is set.
+    # With FORCE_COLOR set, rich itself would treat a pipe as a terminal.
     drawn = console.is_terminal and sys.stdout.isatty() and not console.is_dumb_terminal
     to_stdout = str(json_file) == "-"
     try:
@@ -117,7 +117,7 @@ def watch(
     except RuntimeError:
         if rclpy.ok():
             raise
-        # The shutdown came in the middle of a call into rclpy.
+        # Shutdown during a call into rclpy.
     finally:
         rclpy.try_shutdown()
     if multiprocessing.parent_process() is None:
@@ -170,12 +170,12 @@ def _follow(listener: LiveListener, shows: Sequence[tuple[float, Show]]) -> None
 
 @contextmanager
 def live_view(units: Units) -> Iterator[None]:
-    """Show this process's nodes in another process; stderr comes after it."""
+    """Show the nodes of this process by another process; stderr is printed after it ends."""
     # Spawned, not forked: ROS and torch have threads.
     view = multiprocessing.get_context("spawn").Process(
         target=watch, args=(NAMESPACE, units), daemon=True
     )
-    # Ctrl-C reaches the view too. While it imports it shall not receive it, which it inherits.
+    # Ctrl-C reaches the view too; it inherits that SIGINT is ignored until its imports are done.
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         view.start()
@@ -189,7 +189,7 @@ def live_view(units: Units) -> Iterator[None]:
         finally:
             view.terminate()
             view.join(END_TIMEOUT)
-            view.kill()  # it may hang in a terminal that stands still; no harm to what has ended
+            view.kill()  # it may hang in a stopped terminal; harmless if it has ended
             os.dup2(terminal, 2)
             os.close(terminal)
             kept.seek(0)
