@@ -121,7 +121,7 @@ class StateFile:
         return None
 
     def append(self) -> None:
-        """Append the state to the file, or sometimes rewrite the file; the state survives a kill."""
+        """Append the state to the file, or sometimes rewrite it, so that a kill loses nothing."""
         if self._path is None or self._unwritable:
             return  # `save` tries again at its next call
         if not self._appendable:
