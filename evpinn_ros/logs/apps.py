@@ -1,4 +1,4 @@
-"""Columns of log apps that their names alone do not tell."""
+"""Columns of log apps whose meaning their names alone do not tell."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import NamedTuple
 
 
 class App(NamedTuple):
-    """An app, known by columns that no other has."""
+    """An app, recognised by columns that no other app has."""
 
     marks: tuple[str, ...]  # the names of these columns
-    columns: Mapping[str, str]  # by quantity the column to take, whatever other names say
+    columns: Mapping[str, str]  # column to use by quantity, regardless of other names
     units: Mapping[str, str]  # by column, as `QUANTITIES` spells them
-    could_be: Mapping[str, tuple[str, ...]] = {}  # by column, other units that a setting chooses
+    could_be: Mapping[str, tuple[str, ...]] = {}  # by column, other units that a setting selects
 
 
 # LeafSpy writes the ambient temperature in degrees F beside packs in both ("LeafSpy Log file
-# format", lstech.io). Its Speed is the phone's GPS, which freezes and is silent in pockets; Speed2
+# format", lstech.io). Its Speed is from the phone's GPS, which freezes or stops in a pocket; Speed2
 # is the car's own, in 0.01 km/h: it agrees with the odometer within 1 % ("Reading logs of apps" in
 # docs/project/benchmarks.md).
-# Its A/C Pwr is the sum of both estimates, of which the heater's would count twice.
+# Its A/C Pwr is the sum of two estimates and would count the heater's twice.
 APPS = (
     App(
         ("Gids",),
@@ -28,7 +28,7 @@ APPS = (
         {"Ambient": "f", "Speed2": "0.01 km/h"},
         {"Ambient": ("c",)},
     ),
-    # The VESC Tool logs one controller, and beside it the sums of all (`_setup`).
+    # The VESC Tool logs one controller, and next to it the sums of all (`_setup`).
     App(
         ("ms_today", "current_in_setup"),
         {"time": "ms_today", "current": "current_in_setup"},
@@ -55,11 +55,11 @@ APPS = (
     ),
 )
 
-ANNOTATIONS = ("#group", "#datatype", "#default")  # of InfluxDB's columns, above their names
+ANNOTATIONS = ("#group", "#datatype", "#default")  # InfluxDB's rows above the names
 
 
 def app_of(header: Collection[str]) -> App | None:
-    """The app that wrote a table of these columns; None where it is not known, or needs not be."""
+    """The app that wrote a table of these columns; None if unknown or without special columns."""
     return next((app for app in APPS if set(app.marks) <= set(header)), None)
 
 
@@ -84,13 +84,13 @@ _CELL_MILLIVOLTS = range(2000, 4500)
 
 
 def layout_of(row: Sequence[str]) -> list[str]:
-    """Column names of a row without header of a known app, as LeafSpy's with 96 cells; or none."""
+    """Column names for a headerless row of a known app, as LeafSpy's with 96 cells; or none."""
     begin = len(_LEAFSPY_BEGIN)
     base = begin + _CELLS + len(_LEAFSPY_END)
-    most = base + len(_LEAFSPY_LATER) + 1  # the newest of these writes a cell beyond its header
+    most = base + len(_LEAFSPY_LATER) + 1  # newest logs have a cell beyond their header
     if not base <= len(row) <= most or not _DATE_TIME.match(row[0]):
         return []
-    # A minus before a cell says that it is being balanced.
+    # A minus before a cell voltage marks balancing.
     cells = [cell.strip().lstrip("-") for cell in row[begin : begin + _CELLS]]
     if not all(cell.isdigit() and int(cell) in _CELL_MILLIVOLTS for cell in cells):
         return []

@@ -14,7 +14,7 @@ from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.source import Source
 from evpinn_ros.topics import FRAME_TYPE
 
-_SENT = "to_can_bus"  # the topic by which ros2_socketcan sends frames
+_SENT = "to_can_bus"  # topic to which ros2_socketcan listens for frames to send
 
 
 class BagSource(Source):
@@ -44,17 +44,17 @@ class BagSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Topics that are nearly those that are missing, and what the battery cannot be."""
+        """Topics with nearly the name of a missing one, and implausible battery values."""
         return *self._readings.notes, *self._readings.doubts, *self._watch.notes
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What the battery cannot be, of what changes its totals."""
+        """Implausible battery values that make totals of energy uncertain."""
         return *self._readings.doubts, *self._watch.doubts
 
     def read(self) -> Iterator[Block]:
         """The readings in order of log time."""
-        if self._is_read:  # a broken bag can be gone through once
+        if self._is_read:  # a broken bag can be read again
             self._open()
         self._is_read = True
         with self._reader:
@@ -63,7 +63,7 @@ class BagSource(Source):
 
 
 def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:
-    """A bag by its topics; None for raw frames. InputError: no bag, neither, or several cars."""
+    """A bag with our topics; None for raw frames. InputError: no bag, neither, or several cars."""
     if options.can_profile is not None and holds_frames(path, options.car):
         return None
     try:
@@ -75,7 +75,7 @@ def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:
 
 
 def holds_frames(path: Path, car: str | None = None) -> bool:
-    """True if a bag has raw frames, of the car if given; InputError when it is no bag."""
+    """True if a bag has raw frames, of the car if given; InputError if the path is no bag."""
     with BagReader(path) as reader:
         return bool(frame_topics(reader, car))
 

@@ -15,7 +15,7 @@ from evpinn_ros.common.optional import optional_imports
 with optional_imports():
     import polars as pl
 
-Row = tuple[int, list[str]]  # the number of its line in the file, its cells
+Row = tuple[int, list[str]]  # line number in the file, cells
 Cells: TypeAlias = "Sequence[str] | pl.Series"
 
 MOST_ROWS, MOST_CELLS = 16_384, 500_000  # of a batch
@@ -26,8 +26,8 @@ class Batch:
     """Rows of a table, column by column."""
 
     lines: Sequence[int]  # numbers of the rows' lines in the file
-    columns: Sequence[pl.Series]  # text of each column, "" where a row is shorter
-    widths: NDArray[np.int64]  # how many cells each row has
+    columns: Sequence[pl.Series]  # text of each column, "" for cells missing in a shorter row
+    widths: NDArray[np.int64]  # number of cells in each row
 
     @classmethod
     def of(cls, rows: Sequence[Row]) -> Batch:
@@ -44,7 +44,7 @@ class Batch:
         return len(self.lines)
 
     def cells(self, place: int) -> pl.Series:
-        """Cells of a column; "" where a row has none there."""
+        """Cells of a column; "" where a row is shorter."""
         if place < len(self.columns):
             return self.columns[place]
         return pl.repeat("", len(self), dtype=pl.String, eager=True)
@@ -56,24 +56,24 @@ class Batch:
             yield line, list(row[:width])
 
     def where(self, chosen: NDArray[np.bool_]) -> Batch:
-        """The chosen rows, a mask of shape (n,)."""
+        """The rows where `chosen`, a mask of shape (n,), is True."""
         lines = [self.lines[place] for place in np.flatnonzero(chosen).tolist()]
         columns = [column.filter(pl.Series(chosen)) for column in self.columns]
         return Batch(lines, columns, self.widths[chosen])
 
     def part(self, first: int, last: int | None = None) -> Batch:
-        """The rows from one place to before another."""
+        """The rows from `first` to before `last`."""
         rows = slice(first, last)
         columns = [column[rows] for column in self.columns]
         return Batch(self.lines[rows], columns, self.widths[rows])
 
     def within(self, width: int) -> Batch:
-        """The first columns, `width` at most."""
+        """The first `width` columns."""
         return Batch(self.lines, self.columns[:width], np.minimum(self.widths, width))
 
 
 def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
-    """Rows in batches; an error of the table is raised after the rows before it."""
+    """Group rows into batches; an error of the table is raised after the rows before it."""
     batch: list[Row] = []
     cells = 0
     try:
@@ -91,7 +91,7 @@ def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
 
 
 def regrouped(batches: Iterable[Batch]) -> Iterator[Batch]:
-    """The rows in batches as large as those of `batches_of`, however they came."""
+    """The same rows in batches of the size that `batches_of` makes."""
     waiting: list[Batch] = []
     for batch in batches:
         waiting.append(batch)
@@ -106,7 +106,7 @@ def regrouped(batches: Iterable[Batch]) -> Iterator[Batch]:
 
 
 def _joined(batches: Sequence[Batch]) -> Batch:
-    """Batches one after another."""
+    """One batch of the rows of several."""
     if len(batches) == 1:
         return batches[0]
     places = range(max(len(batch.columns) for batch in batches))

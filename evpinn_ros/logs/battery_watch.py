@@ -1,4 +1,4 @@
-"""Checks a bag's or CAN log's battery: some robots send 0 A, some drivers a charger's sign."""
+"""Checks a bag's or CAN log's battery: some robots send 0 A, some drivers the charger's sign."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from evpinn_ros.logs.signal import Signal, battery_power, pull, speeds_up_and_do
 from evpinn_ros.logs.source import STRAGGLING_NS
 
 STATED = "it is negative while the battery discharges, and every energy has the other sign"
-BLOCK = 20_000  # readings that are judged together
+BLOCK = 20_000  # readings that are checked together
 QUANTITIES = ("speed", "voltage", "current", *PLACES)
-MOST_KEPT = 60_000  # readings by which the sign is judged: 50 min of speed and battery at 10 Hz
+MOST_KEPT = 60_000  # readings to check the sign with: 50 min of speed and battery at 10 Hz
 
 
 class BatteryWatch:
-    """Passes on the measured readings of a drive, and notes what its battery cannot be."""
+    """Passes on the measured readings of a drive, and notes implausible battery values."""
 
     def __init__(self, dropped: Counter[str]) -> None:
-        # sentences, complete once all is read: all, and those on totals to be doubted
+        # notes, complete once all is read; doubts are those that make totals uncertain
         self.notes: tuple[str, ...] = ()
         self.doubts: tuple[str, ...] = ()
         self._standing = Standing(dropped)
@@ -39,7 +39,7 @@ class BatteryWatch:
         self._flows_back = False
 
     def on(self, readings: Iterable[Reading]) -> Iterator[Block]:
-        """Blocks without readings that stand still while the car moves; then any error."""
+        """Blocks without readings that stay constant while the car moves; then any error."""
         block: list[Reading] = []
         newest, error = 0, None
         try:
@@ -86,7 +86,7 @@ class BatteryWatch:
         return block
 
     def _signals(self) -> dict[str, Signal]:
-        """Speed, m/s, voltage, V, and drawn current, A, of the readings that were kept."""
+        """Speed, m/s, voltage, V, and drawn current, A, of the readings kept."""
         kept = joined(self._kept)
         speeds, battery = (_possible(kept, kind) for kind in (SpeedReading, BatteryReading))
         zero_ns = kept.stamps()[:1]

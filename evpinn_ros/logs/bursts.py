@@ -1,7 +1,7 @@
-"""Rows that an app writes at once, each time a part of a message arrives: one reading.
+"""Joins rows that an app writes in a burst, one for each part of a message, to one reading.
 
-Stamps of a table are of the moment of writing; those of a topic are of the measurement, so this
-is no rule of `core`.
+Stamps of a table are times of writing; stamps of a topic are times of measurement, so this rule
+does not belong to `core`.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.logs.signal import FloatArray, Signal
 
-LONGEST = 0.1  # s, from the first row to the last
-APART = 5.0  # times that: from one burst to the next
-LEAST_BURSTS, SHARE = 20, 0.3  # of two rows or more, and of all
-MOST_TWICE = 0.2  # of the bursts: where a signal is told more often, rows are readings
+LONGEST = 0.1  # s, from the first row of a burst to the last
+APART = 5.0  # times `LONGEST`, from one burst to the next
+LEAST_BURSTS, SHARE = 20, 0.3  # bursts of two rows or more, and their share of all
+MOST_TWICE = 0.2  # share of the bursts with a signal told twice, above which rows are readings
 
 Places = NDArray[np.intp]
 
 
 class _Bursts(NamedTuple):
-    """Places of the first and of the last row of each, shape (n,) each."""
+    """Indices of the first and the last row of each burst, shape (n,) each."""
 
     firsts: Places
     lasts: Places
@@ -36,14 +36,14 @@ class _Bursts(NamedTuple):
         return cls(np.append(0, breaks + 1), np.append(breaks, times.size - 1))
 
     def told_last(self, values: FloatArray) -> FloatArray:
-        """The last value in each; NaN where none is told."""
+        """Last known value in each burst, shape (n,); NaN if none is known."""
         places = np.where(np.isfinite(values), np.arange(values.size), -1)
         told = np.maximum.accumulate(places)[self.lasts]
         return np.where(told >= self.firsts, values[told], np.nan)
 
 
 def join(stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: Places) -> Places:
-    """The last row of each burst, of `rows` in order of time, ns; it gets what the others tell."""
+    """Last row of each burst of `rows`, which are in time order; it gets the others' values."""
     if not rows.size:
         return rows
     bursts = _Bursts.of((stamps[rows] - stamps[rows[0]]) / NANOSECONDS)
@@ -54,7 +54,7 @@ def join(stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: Plac
 
 
 def joined(signal: Signal) -> Signal:
-    """A signal with one value of each burst."""
+    """The signal with one value per burst."""
     there = np.isfinite(signal.time)
     time = signal.time[there]
     bursts = _Bursts.of(time)
@@ -62,7 +62,7 @@ def joined(signal: Signal) -> Signal:
 
 
 def come_in_bursts(signals: Mapping[str, Signal]) -> bool:
-    """True if rows of one table come in bursts far apart, which tell each signal once at most."""
+    """True if rows of one table come in distant bursts with one value per signal at most."""
     times = next(iter(signals.values())).time
     there = np.isfinite(times)
     times = times[there]

@@ -30,18 +30,18 @@ from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.source import Source
 from evpinn_ros.topics import FRAME_TYPE
 
-BITRATE = 500_000  # bit/s; the load of the bus is not known here
-INSPECTED = 200_000  # frames that tell the profile, a minute of a full bus
+BITRATE = 500_000  # bit/s; irrelevant here, as the load of the bus is not used
+INSPECTED = 200_000  # frames used to find the profile, a minute of a full bus
 
 
 class BagFrames:
     """Frames of a bag's `can_msgs/Frame` topics, by their headers' stamps or else the log time."""
 
     def __init__(self, path: Path, car: str | None = None) -> None:
-        """Find the topics of this car or of all; InputError if it is no bag, or has no frames."""
+        """Find the topics of this car or of all; InputError if there is no bag or no frame."""
         self.path = path  # of the file or folder
         self.count = 0  # frames read so far
-        self.skipped: Counter[str] = Counter()  # no data frames, by kind
+        self.skipped: Counter[str] = Counter()  # remote, error and impossible frames, by kind
         self._reader = BagReader(path)
         self._topics = frame_topics(self._reader, car)
         if not self._topics:
@@ -81,19 +81,19 @@ class BagFrames:
 
 
 CanLog: TypeAlias = LogFile | BagFrames
-"""A recorded bus, read once by `frames()`."""
+"""A recorded bus; its `frames()` can be read once."""
 
 
 def open_can_log(path: Path, car: str | None = None) -> CanLog:
-    """A CAN log, or a bag with frames; of one car or bus (`car`) if given.
+    """Open a CAN log, or a bag with frames; only one car or bus if `car` is given.
 
-    Raises InputError with the file and the reason.
+    InputError names the file and the reason.
     """
     return BagFrames(path, car) if is_bag(path) else LogFile(path, car)
 
 
 def inspected(log: CanLog) -> BusReport:
-    """Report on the first frames of a log, with the bundled profile that fits them."""
+    """Report on the first frames of a log, with the bundled profile that fits them, if any."""
     inspection = Inspection(bundled_profiles(), BITRATE)
     for frame in islice(log.frames(), INSPECTED):
         inspection.add_frame(frame)
@@ -118,7 +118,7 @@ class CanLogSource(Source):
 
     @property
     def problem(self) -> str | None:
-        """Break of the log, or the point from where on it contradicts the profile."""
+        """Damage of the log, or the point from which it contradicts the profile."""
         if self._bridge.refusal:
             better = self._bridge.better_profile
             other = f"use --can-profile {better}, or " if better else ""
@@ -127,16 +127,16 @@ class CanLogSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the battery cannot be."""
+        """Implausible battery values."""
         return self._watch.notes
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What the battery cannot be, of what changes its totals."""
+        """Implausible battery values that make totals of energy uncertain."""
         return self._watch.doubts
 
     def read(self) -> Iterator[Block]:
-        """Readings up to where the log contradicts the profile; InputError if it gave none."""
+        """Readings up to where the log contradicts the profile; InputError if there are none."""
         self._log, self._bridge = self._open_log(), self._make_bridge()
         self._watch = BatteryWatch(self.dropped)
         self.dropped.clear()
@@ -160,7 +160,7 @@ class CanLogSource(Source):
             raise InputError(self.problem or f"{self.path}: {status.text}{self._fitting()}")
 
     def _fitting(self) -> str:
-        """Words on the profile that fits the first frames; empty where none does."""
+        """Sentence on the profile that fits the first frames; empty if none does."""
         best = inspected(self._open_log()).best
         if best is None:
             return f"; evpinn can inspect {self.path} shows the traffic"
@@ -168,7 +168,7 @@ class CanLogSource(Source):
 
 
 def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Source:
-    """Open a CAN log, or a bag's raw frames; InputError if it is neither or has no profile."""
+    """Open a CAN log, or a bag's raw frames; InputError if neither, or without a profile."""
     if not is_bag(path) and suffix_of(path) not in LOG_SUFFIXES:
         raise unknown_kind(path)
     name = options.can_profile or vehicle.can_profile

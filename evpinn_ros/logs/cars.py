@@ -1,4 +1,4 @@
-"""The rows of one car: published data sets keep a whole fleet in one table."""
+"""Selects the rows of one car: published data sets keep a whole fleet in one table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from evpinn_ros.logs.numbers import is_missing
 from evpinn_ros.logs.quantities import words_of
 from evpinn_ros.logs.survey import Head, Table, data_rows, until_broken
 
-# Names of a column that tells cars apart, by their words.
+# Words in the name of a column that identifies cars.
 NAMES = frozenset(
     (
         *("car", "car id", "carid", "car name", "car no", "car number", "imei"),
@@ -36,10 +36,10 @@ NAMES = frozenset(
         *("licence plate", "number plate", "fahrzeug", "kennzeichen", "车牌号", "车架号"),
     )
 )
-LEAST_OF_CAR = 5  # rows of the commonest car
-LEAST_ROWS, LEAST_SHARE = 20, 0.1  # of a car, and of the rows of the commonest: others are torn
+LEAST_OF_CAR = 5  # rows of the most frequent car
+LEAST_ROWS, LEAST_SHARE = 20, 0.1  # of a car, and relative to the most frequent; fewer are torn
 MOST_CARS = 10_000
-MOST_NAMED = 10  # cars in a message
+MOST_NAMED = 10  # cars listed in a message
 FRACTION = re.compile(r"[+-]?\d*[.,]\d*[1-9]0*")
 
 
@@ -51,30 +51,30 @@ class CarTable:
 
     @property
     def torn(self) -> int:
-        """Lines that are no row, of all cars."""
+        """Number of lines that are no row, of all cars."""
         return self._table.torn
 
     def rows(self) -> Iterator[Row]:
-        """The rows above the data, then those of the car."""
+        """The rows above the data, then the rows of the car."""
         yield from takewhile(lambda row: row[0] <= self._head.row, self._table.rows())
-        for number, row in data_rows(self._table, self._head):  # below further headers too
+        for number, row in data_rows(self._table, self._head):  # also below repeated headers
             if _car_of(row, self._place) == self._car:
                 yield number, row
 
     def last_row(self) -> list[str]:
-        """None: the end of the file may be of another car."""
+        """Always empty: the end of the file may be of another car."""
         return []
 
 
 def table_of_car(table: Table, head: Head, car: str | None) -> Table:
-    """The table, or the rows of one of several cars; InputError if that is not chosen."""
+    """The table, or the rows of the chosen car; InputError if there are several and no choice."""
     rows = _rows_by_car(table, head)
     cars = {place: names for place in rows if (names := _cars(rows[place]))}
     if not cars:
         if car is not None:
             raise InputError(f"no column tells cars apart, so there is no car {car!r}")
         return table
-    place = max(cars, key=lambda column: len(cars[column]))  # a model may have a column as well
+    place = max(cars, key=lambda column: len(cars[column]))  # a column of models may exist too
     names = cars[place]
     there = f"column {head.names[place]!r} has {', '.join(names[:MOST_NAMED])}"
     if len(names) > MOST_NAMED:
@@ -90,7 +90,7 @@ def table_of_car(table: Table, head: Head, car: str | None) -> Table:
 
 def _rows_by_car(table: Table, head: Head) -> dict[int, Counter[str]]:
     words = {place: words_of(name) for place, name in enumerate(head.names)}
-    # What has a bracket has a unit: `Vin [V]` is a voltage.
+    # A bracket in a name is a unit: `Vin [V]` is a voltage.
     rows: dict[int, Counter[str]] = {
         place: Counter()
         for place, (name, unit) in words.items()
@@ -105,9 +105,9 @@ def _rows_by_car(table: Table, head: Head) -> dict[int, Counter[str]]:
 
 
 def _cars(rows: Counter[str]) -> list[str]:
-    """The cars of a column, sorted; none of a column of measured values."""
+    """The cars in a column, sorted; empty if the column holds measured values."""
     commonest = max(rows.values(), default=0)
-    if commonest < LEAST_OF_CAR:  # each row has a number of its own
+    if commonest < LEAST_OF_CAR:  # each row has its own value
         return []
     least = min(LEAST_ROWS, LEAST_SHARE * commonest)
     cars = sorted(car for car, count in rows.items() if count >= least and not is_missing(car))

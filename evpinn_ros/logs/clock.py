@@ -1,4 +1,4 @@
-"""The clock of a table: cells of dates and times, or numbers, to stamps that run on."""
+"""The clock of a table: converts cells of dates, times or numbers to continuous stamps."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from evpinn_ros.logs.quantities import QUANTITIES
 with optional_imports():
     import polars as pl
 
-NONE = np.iinfo(np.int64).min  # where there is no time
+NONE = np.iinfo(np.int64).min  # marks an unknown time
 LAST_TIME_NS = 2**31 * NANOSECONDS  # the end of ROS time, in 2038
-BACK_NS = 10 * NANOSECONDS  # to where it began, about: a clock that begins anew with each drive
+BACK_NS = 10 * NANOSECONDS  # tolerance of the time at which a clock restarts with each drive
 HALF_DAY_NS, HALF_DAY_PAUSE_NS = DAY_NS // 2, 600 * NANOSECONDS
-PAUSE_NS = 3600 * NANOSECONDS  # between such drives; it is not known, but a drive has ended
+PAUSE_NS = 3600 * NANOSECONDS  # assumed pause between such drives; its true length is unknown
 
-# With the signs beside them, for a month may be part of another word.
+# With separators, as a month may be part of another word.
 _MONTHS = {f"-{name}-": f"-{month}-" for name, month in IN_ENGLISH.items()}
 
 UNITS_NS = {name: 1e9 * unit.factor for name, unit in QUANTITIES["time"].units.items()}
-DAY_OF_FORMAT = re.compile("%[-_0]?[cDdeFjvs]")  # what of a format tells the day
-CLOCK_OF_FORMAT = re.compile("%[-_0]?[cHIkMRrSsTX]")  # and the time of day
+DAY_OF_FORMAT = re.compile("%[-_0]?[cDdeFjvs]")  # parts of a format that hold the day
+CLOCK_OF_FORMAT = re.compile("%[-_0]?[cHIkMRrSsTX]")  # parts of a format that hold the time of day
 
 
 class RowSpread(NamedTuple):
-    """Spread of rows that share a stamp, because it is coarser than they are apart."""
+    """How many rows share a stamp whose resolution is coarser than their interval."""
 
     resolution_ns: int  # of the stamps
-    rows: int  # that share one; 0 where too few stamps tell
-    first: int  # rows that share the first one, which are its last ones
+    rows: int  # rows per stamp; 0 if too few stamps are known
+    first: int  # rows of the first stamp, which the log may hold only in part
 
 
 class Order(Enum):
@@ -48,10 +48,10 @@ class Order(Enum):
 
     OLDEST_FIRST = "oldest first"
     NEWEST_FIRST = "newest first"  # as a database exports them
-    SHUFFLED = "in no order"  # as a database exports them that was not asked to sort
+    SHUFFLED = "in no order"  # as exported by a database without sorting
 
     def rows(self, times: NDArray[Any]) -> NDArray[np.intp]:
-        """Places of rows from the oldest to the newest; shape (n,) as their times."""
+        """Indices of rows from the oldest to the newest, shape (n,), given their times."""
         if self is Order.SHUFFLED:
             return np.argsort(times, kind="stable")
         return np.arange(times.size)[:: -1 if self is Order.NEWEST_FIRST else 1]
@@ -59,36 +59,36 @@ class Order(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Reader of the cells of the time columns."""
+    """Reads stamps from the cells of the time columns."""
 
-    columns: tuple[int, ...]  # of the table, one, or two where date and time are apart
+    columns: tuple[int, ...]  # one column, or two if date and time are separate
     kind: str  # `number`, `date` or `time of day`
-    formats: str = ""  # of polars, one for a date or a time of day
-    unit: str = "s"  # of numbers
-    zoned: bool = False  # the cells name a zone or are seconds since 1970, so the stamps are UTC
-    why: str = ""  # this was chosen, for people
-    style: Style = POINT  # of numbers
-    daily: bool = False  # numbers begin anew at midnight
-    as_written: bool = False  # the format is a person's, for cells as they stand
-    half_days: bool = False  # its hours begin anew at one o'clock, without an AM or PM
-    drives_from_ns: int | None = None  # time that each drive begins at; None if there is one
+    formats: str = ""  # in polars' notation, one for a date or a time of day
+    unit: str = "s"  # unit of numbers
+    zoned: bool = False  # True if cells name a zone or count from 1970, so stamps are UTC
+    why: str = ""  # why it was chosen, for people
+    style: Style = POINT  # number style
+    daily: bool = False  # True if numbers restart at midnight
+    as_written: bool = False  # True if the format is a person's, for unchanged cells
+    half_days: bool = False  # True if hours restart at one o'clock, without AM or PM
+    drives_from_ns: int | None = None  # time at which each drive restarts; None for a single drive
     order: Order = Order.OLDEST_FIRST  # of the rows
     spread: RowSpread | None = None  # None where each row has a stamp of its own
 
     @property
     def period_ns(self) -> int:
-        """Time after which it begins anew, a day or half of it; 0 where it runs on."""
+        """Time after which it restarts, ns: a day or half of it; 0 if it does not."""
         if self.kind != "time of day" and not self.daily:
             return 0
         return HALF_DAY_NS if self.half_days else DAY_NS
 
     @property
     def begins_anew(self) -> bool:
-        """True if its times do not run on, at midnight or with the next drive."""
+        """True if its times restart, at midnight or with the next drive."""
         return self.period_ns > 0 or self.drives_from_ns is not None
 
     def running(self) -> RunningClock:
-        """Counter that lets its times run on where it begins anew."""
+        """A counter that makes its times continuous."""
         is_local = self.kind == "date" and not self.zoned
         spread = self.spread if self.spread is not None and self.spread.rows else None
         dated_halves = self.half_days and self.kind == "date"
@@ -98,11 +98,11 @@ class Clock:
 
     @property
     def dated(self) -> bool:
-        """True if the cells hold the date."""
+        """True if the cells contain the date."""
         return self.kind == "date" or (self.kind == "number" and self.zoned)
 
     def stamps(self, cells: Mapping[int, Cells]) -> NDArray[np.int64]:
-        """Times, ns since 1970, midnight or the start, `NONE` if unknown; of cells by column."""
+        """Times of cells by column, ns since 1970, midnight or the start; `NONE` if unknown."""
         columns = [cells[place] for place in self.columns]
         if self.as_written:
             return parsed_times(pl.Series("", columns[0], dtype=pl.String), self.formats)
@@ -112,14 +112,14 @@ class Clock:
         factor = UNITS_NS[self.unit]
         bad = ~np.isfinite(values) | (np.abs(values) > 9e18 / factor)
         values = np.where(bad, 0.0, values)
-        # Apart from the whole ones, for a float of ns since 1970 is 256 ns coarse.
+        # Whole seconds apart: a float of ns since 1970 resolves only 256 ns.
         whole = np.floor(values)
         rest: NDArray[np.int64] = np.rint((values - whole) * factor).astype(np.int64)
         return np.where(bad, NONE, whole.astype(np.int64) * int(factor) + rest)
 
 
 class RunningClock:
-    """Makes times run on over midnight, from drive to drive, and where clocks are set back."""
+    """Makes times continuous over midnight, new drives, and clocks that are set back."""
 
     def __init__(
         self,
@@ -134,10 +134,10 @@ class RunningClock:
         self._is_local, self._halves = is_local, halves
         self._added = 0
         self._before: NDArray[np.int64] | None = None  # the last two times
-        self._shared = (NONE, 0)  # the last stamp, and how many rows had it
+        self._shared = (NONE, 0)  # the last stamp, and its number of rows
 
     def add(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The times of the next rows."""
+        """Continuous times of the next rows."""
         there = np.flatnonzero(stamps != NONE)
         if there.size == 0:
             return stamps
@@ -158,7 +158,7 @@ class RunningClock:
     def _turns(
         self, times: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        if self._halves:  # one o'clock in the afternoon, and midnight, when it is twelve
+        if self._halves:  # jumps at 1 pm, and at midnight, which reads 12
             return HALF_DAY_NS * (
                 1 * half_day_back(steps) - 2 * half_day_back(steps - 3 * HALF_DAY_NS)
             )
@@ -176,13 +176,13 @@ class RunningClock:
     def _spread_out(self, times: NDArray[np.int64], spread: RowSpread) -> NDArray[np.int64]:
         begins = np.flatnonzero(np.diff(times, prepend=self._shared[0]) != 0)
         counts = np.arange(times.size)
-        before = np.full(times.size, self._shared[1])  # rows of the stamp in the last batch
+        before = np.full(times.size, self._shared[1])  # rows of the first stamp in earlier batches
         if begins.size:
             later = counts >= begins[0]
             at = np.searchsorted(begins, counts[later], side="right") - 1
             counts[later] -= begins[at]
             before[later] = 0
-        if self._shared[0] == NONE:  # the log began within its first stamp
+        if self._shared[0] == NONE:  # the log may have begun within its first stamp
             end = begins[1] if begins.size > 1 else times.size
             before[:end] = max(0, spread.rows - spread.first)
         shared = counts + before
@@ -194,7 +194,7 @@ class RunningClock:
 
 
 _HOUR_NS, _MINUTE_NS = 3600 * NANOSECONDS, 60 * NANOSECONDS
-_NIGHT_NS = 4 * _HOUR_NS  # clocks are set before, at a full hour
+_NIGHT_NS = 4 * _HOUR_NS  # clocks change before this hour, at a full hour
 _THURSDAY = 4  # 1970-01-01, counted from a Sunday
 
 
@@ -211,14 +211,14 @@ def _set_forward(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray
 
 
 def half_day_back(steps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """True where rows are half a day behind the ones before, as at one of a clock of 12 hours."""
+    """True where rows are half a day before the last, as at one on a 12-hour clock."""
     return np.asarray((steps >= -HALF_DAY_NS) & (steps <= HALF_DAY_PAUSE_NS - HALF_DAY_NS))
 
 
 def begin_drives(
     times: NDArray[Any], before: NDArray[Any], first: float, back: float
 ) -> NDArray[np.bool_]:
-    """True where a row and the next lie behind the two `before`, near `first`: a drive begins."""
+    """True where a drive begins: two rows lie before both `before` rows, near `first`."""
     padded = np.concatenate((before, times))
     least = np.minimum(padded[1:-1], padded[:-2]) - back
     following = np.append(times[1:], times[-1:])
@@ -226,14 +226,14 @@ def begin_drives(
 
 
 def joined_cells(cells: Sequence[Cells]) -> pl.Series:
-    """Date and time of each row in one cell, their signs made uniform."""
+    """Date and time of each row in one text, with uniform separators."""
     columns = pl.DataFrame(
         {str(i): pl.Series(column, dtype=pl.String) for i, column in enumerate(cells)}
     )
     first, *others = (pl.col(name).str.strip_chars() for name in columns.columns)
-    if others:  # a spreadsheet's date is one of midnight
+    if others:  # a date in a spreadsheet is that of midnight
         first = first.str.replace(r"[T ]00:00(:00(\.0+)?)?$", "")
-    # 2024-03-05T07:08:09,5Z and 5.3.2024 7:08:09.5 p.m. become one pattern.
+    # Unify, for example, 2024-03-05T07:08:09,5Z and 5.3.2024 7:08:09.5 p.m.
     text = (
         pl.concat_str(first, *others, separator=" ")
         .str.replace(r"^(\w{3}) (\w{3}) (\d)", "$1-$2-$3")
@@ -253,7 +253,7 @@ def joined_cells(cells: Sequence[Cells]) -> pl.Series:
 
 
 def parsed_times(text: pl.Series, formats: str) -> NDArray[np.int64]:
-    """Times of cells by one format, ns since 1970 or midnight; `NONE` where it does not fit."""
+    """Times of cells in one format, ns since 1970 or midnight; `NONE` if it does not match."""
     if not DAY_OF_FORMAT.search(formats):
         if formats.startswith("%M"):
             text, formats = "0:" + text, f"%H:{formats}"
@@ -265,7 +265,7 @@ def parsed_times(text: pl.Series, formats: str) -> NDArray[np.int64]:
         ).to_series()
     else:
         micros = text.str.to_datetime(formats, strict=False, time_unit="us").to_physical()
-        # Digits below a microsecond are for logs whose stamps are numbers.
+        # polars reads at most microseconds; finer stamps are read as numbers.
         far = micros.abs() > LAST_TIME_NS // 1000
         parsed = pl.select(pl.when(~far).then(micros * 1000)).to_series()
     return np.asarray(parsed.fill_null(NONE), np.int64)

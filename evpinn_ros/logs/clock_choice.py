@@ -1,4 +1,4 @@
-"""Chooses a table's clock: the format that reads most cells and jumps and runs back least."""
+"""Chooses a table's clock: the format that reads most cells, with the fewest jumps."""
 
 from __future__ import annotations
 
@@ -34,27 +34,27 @@ from evpinn_ros.logs.source import STRAGGLING_NS
 from evpinn_ros.logs.survey import Survey
 
 FIRST_TIME_NS = 1_200_000_000 * NANOSECONDS  # no log of an electric car is older than 2008
-LARGEST = 1e19  # of a number that is a time: ns since 1970 to the end of 64 bits
-RELATIVE_BELOW_S = 1e8  # a first time below this (3 years) counts from the start of something
-SELDOM = 0.05  # of the rows lie behind the one before, in a table whose drives are in order
-FASTEST_STEP = 9e-4  # s: closer rows are no seconds, but days of a spreadsheet
-SLOWEST_STEP = 5.0  # s: rows farther apart would be useless, so the unit is smaller
-MOSTLY = 0.8  # of the steps between rows
-SHUFFLED = 0.2  # of the rows lie farther behind the one before: no drive is of so few rows
-SHARED = 0.3  # of the rows have the stamp of the one before, where stamps are coarse
-LEAST_SHARED = 3  # stamps that rows share, to tell how far apart they are
-LEAP_NS, LEAST_PART = 600 * NANOSECONDS, 10  # ahead, and rows between two leaps
-LEAST_SECONDS = 20  # of a minute that tell a clock without colons from a number
-CHANGED = 0.1  # of these have another value than the one before
-LONG_STEP, SLOW = 25.0, 3e-3  # s between rows, and m/s^2 of a mean change of speed: too slow
-SMOOTH = 0.1  # of the span of a speed that it changes by from row to row: it is followed
-USUAL_CHANGE = (0.01, 2.0)  # m/s^2, of a car that moves, in the mean
+LARGEST = 1e19  # largest number that is a time: ns since 1970 up to 64 bits
+RELATIVE_BELOW_S = 1e8  # smaller first times (3 years) do not count from 1970
+SELDOM = 0.05  # share of rows earlier than the last, in a table of ordered drives
+FASTEST_STEP = 9e-4  # s: shorter steps mean days of a spreadsheet, not seconds
+SLOWEST_STEP = 5.0  # s: longer steps would be useless, so the unit is smaller
+MOSTLY = 0.8  # share of the steps between rows
+SHUFFLED = 0.2  # share of rows much earlier than the last: drives have more rows
+SHARED = 0.3  # share of rows with the stamp of the last, if stamps are coarse
+LEAST_SHARED = 3  # shared stamps needed to estimate the interval of rows
+LEAP_NS, LEAST_PART = 600 * NANOSECONDS, 10  # forward, and rows between two leaps
+LEAST_SECONDS = 20  # different seconds that distinguish a clock without colons from a number
+CHANGED = 0.1  # share of these whose value differs from the last
+LONG_STEP, SLOW = 25.0, 3e-3  # s between rows, and mean change of speed in m/s^2: too slow
+SMOOTH = 0.1  # largest change between rows of a well-sampled speed, as a share of its span
+USUAL_CHANGE = (0.01, 2.0)  # m/s^2, mean of a moving car
 IMPOSSIBLE = 20.0  # m/s^2
-PAUSE = 10.0  # usual steps
-ENOUGH = 0.9  # of the cells that the best format reads: another that reads so many competes
+PAUSE = 10.0  # in usual steps
+ENOUGH = 0.9  # share of the best format's cells that a competing format reads
 
-# Orders of a date, the likeliest first among equals: ISO, then day first as most of the world has
-# it, unless an AM or PM says that an American wrote it.
+# Orders of a date, in order of preference among equals: ISO, then day first as in most of the
+# world, unless AM or PM shows that an American wrote it.
 _DATES = {
     "year, month, day": ("%Y-%m-%d", "%Y%m%d"),
     "day, month, year": ("%d-%m-%Y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y"),
@@ -69,10 +69,10 @@ _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s")
 
 
 def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()) -> list[Clock]:
-    """The clocks of a table, the best first: reads most rows, never backwards, knows the date.
+    """The clocks of a table, the best first: it reads most rows, never goes back, has the date.
 
-    LeafSpy's `epoch time` goes on where its `Date/Time` jumps with the phone's time zone. `days`
-    since 1970 decide where a date can be read in two ways.
+    LeafSpy's `epoch time` is continuous where its `Date/Time` jumps with the phone's time zone.
+    `days` since 1970 decide between two readings of a date.
     """
     columns = [column for column in used if column.quantity == "time"]
     names = {column.place: column.name for column in columns}
@@ -85,7 +85,7 @@ def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()
     by_place = {clock.columns[0]: clock for clock in clocks}
     stamps_of = {clock: clock.stamps(survey.cells) for clock in clocks}
     for date, time in permutations(clocks, 2):
-        # A date in one column and the time of day in another; half a clock each.
+        # A date in one column and the time of day in another make one clock.
         if _is_day_alone(date, stamps_of[date]) and time.kind == "time of day":
             cells = [survey.cells[date.columns[0]], survey.cells[time.columns[0]]]
             if joined := clock_of_text((date.columns[0], time.columns[0]), cells, days):
@@ -108,13 +108,13 @@ def _clock(column: Column, survey: Survey, days: Collection[int]) -> Clock | Non
     cells = survey.cells[column.place]
     style, unit = survey.styles[column.place], column.unit or None
     numbers = clock_of_numbers(column.place, cells, style, unit, in_seconds=column.is_ours)
-    if column.is_ours:  # its name says seconds; cells that are none are counted one by one
+    if column.is_ours:  # in seconds by its name; other cells are counted one by one
         return numbers or Clock((column.place,), "number", style=style)
     return numbers or clock_of_text((column.place,), [cells], days)
 
 
 def clock_of_format(column: int, formats: str) -> Clock:
-    """The clock of a column whose format a person gives, such as `%d.%m.%Y %H:%M:%S%.f`."""
+    """The clock of a column with a person's format, such as `%d.%m.%Y %H:%M:%S%.f`."""
     kind = "date" if DAY_OF_FORMAT.search(formats) else "time of day"
     zoned = "%z" in formats or "%s" in formats
     return Clock((column,), kind, formats, "", zoned, why="as given", as_written=True)
@@ -123,14 +123,14 @@ def clock_of_format(column: int, formats: str) -> Clock:
 def clock_of_numbers(
     column: int, cells: Cells, style: Style, unit: str | None, *, in_seconds: bool = False
 ) -> Clock | None:
-    """The clock of a column of numbers, None if most are none; `in_seconds`: never minutes."""
+    """The clock of a column of numbers; None if most are no times. `in_seconds`: never minutes."""
     values = to_floats(cells, style)
     times = values[np.abs(values) < LARGEST]
     told = filled(cells)
     if times.size == 0 or times.size < ENOUGH * len(told):
         return None
     if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", told[0].strip()):
-        return None  # 20240305070809 is a date
+        return None  # a date such as 20240305070809
     if unit is None and not in_seconds and _is_clock_without_colons(times):
         return None
     times = _forward(times)
@@ -141,7 +141,7 @@ def clock_of_numbers(
     ):
         name = unit or since_1970
         if size * UNITS_NS[name] < FIRST_TIME_NS:
-            return None  # of another zero, or in ticks of 100 ns
+            return None  # another epoch, or ticks of 100 ns
         why = "since 1970, by its values"
         return Clock((column,), "number", unit=name, zoned=True, why=why, style=style)
     name = "s" if in_seconds else unit or _unit_of_steps(times)
@@ -151,7 +151,7 @@ def clock_of_numbers(
     clock = Clock((column,), "number", unit=name, why=why, style=style)
     if _begins_anew(times, DAY_NS / UNITS_NS[name]):
         return replace(clock, daily=True)
-    # Drives that each go back to the first time, and on from there.
+    # Drives that each restart at the first time.
     first, back = times[0], BACK_NS / UNITS_NS[name]
     if _is_in_order(times) and begin_drives(times, times[[0, 0]], first, back).any():
         return replace(clock, drives_from_ns=int(times[0] * UNITS_NS[name]))
@@ -159,7 +159,7 @@ def clock_of_numbers(
 
 
 def _is_clock_without_colons(times: NDArray[np.float64]) -> bool:
-    """True if 95959 is followed by 100000: no two digits of minutes or seconds reach 60."""
+    """True if 95959 is followed by 100000: minutes and seconds stay below 60."""
     whole = np.floor(times)
     seconds, minutes = whole % 100, whole // 100 % 100
     inside = (whole >= 0) & (whole < 240_000) & (seconds < 60) & (minutes < 60)
@@ -167,7 +167,7 @@ def _is_clock_without_colons(times: NDArray[np.float64]) -> bool:
 
 
 def _unit_of_steps(times: NDArray[np.float64]) -> str:
-    """Unit of times by how far apart they are, in whichever order the rows stand; "" of none."""
+    """Unit of times by the steps between rows in any order; "" if none fits."""
     steps = np.diff(times if _is_in_order(times) else np.sort(times))
     forward = steps[steps > 0]
     step = float(np.median(forward)) if forward.size else 0.0
@@ -177,7 +177,7 @@ def _unit_of_steps(times: NDArray[np.float64]) -> str:
 
 
 def _begins_anew(times: NDArray[np.float64], day: float) -> bool:
-    """True if times are those of a day, in the unit of `day`, and midnight passes."""
+    """True if times are times of day in the unit of `day`, and midnight passes."""
     inside = times.min() >= 0 and times.max() <= day
     return bool(inside and (np.diff(times) < -0.9 * day).any())
 
@@ -189,7 +189,7 @@ def _is_in_order(times: NDArray[np.float64]) -> bool:
 def clock_of_text(
     columns: tuple[int, ...], cells: Sequence[Cells], days: Collection[int] = ()
 ) -> Clock | None:
-    """The clock of columns of dates or times of day, or None; `days` decide ambiguous dates."""
+    """The clock of columns of dates or times of day; or None. `days` decide ambiguous dates."""
     text = joined_cells(cells)
     text = text.filter(text.str.contains(r"\d\D\d|\d{8}"))
     if len(text) == 0 or len(text) < 0.5 * max(len(filled(column)) for column in cells):
@@ -252,7 +252,7 @@ def _formats(with_date: bool, twelve: bool) -> list[tuple[str, str]]:
 
 
 def _in_possible_unit(clock: Clock, speed: Column, survey: Survey) -> Clock:
-    """The clock; in another unit where no car that moves changes its speed as its name says."""
+    """The clock; in another unit if the changes of speed would be impossible in its own."""
     if clock.kind != "number" or clock.why != "by its name":
         return clock
     values = to_floats(survey.cells[speed.place], survey.styles[speed.place])
@@ -280,7 +280,7 @@ def _in_possible_unit(clock: Clock, speed: Column, survey: Survey) -> Clock:
 
 
 def _is_of_half_days(clock: Clock, stamps: NDArray[np.int64]) -> bool:
-    """True if 12:59 is followed by 1:00, and no hour is one of 24."""
+    """True if 12:59 is followed by 1:00, and no hour is above 12."""
     times = stamps[stamps != NONE]
     if clock.kind == "number" or "%p" in clock.formats or not times.size:
         return False
@@ -292,7 +292,7 @@ def _is_of_half_days(clock: Clock, stamps: NDArray[np.int64]) -> bool:
 def _in_its_order(
     clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
 ) -> Clock:
-    """The clock with the order of rows; in columns that were stacked no drive begins."""
+    """The clock with the order of rows; no new drive begins in stacked columns."""
     there = stamps != NONE
     if not _is_newest_first(stamps[there]) and _goes_back(stamps[there]):
         numbers = (
@@ -315,7 +315,7 @@ def _in_its_order(
 def _spread_of(
     clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
 ) -> RowSpread | None:
-    """How rows share coarser stamps; those with other cells each, or the same, are one moment."""
+    """How rows share coarse stamps; None if rows of one stamp are of one moment."""
     if clock.order is Order.SHUFFLED:
         return None
     rows = clock.order.rows(stamps)
@@ -370,9 +370,9 @@ def _order_of(clock: Clock, stamps: NDArray[np.int64]) -> Order:
 
 
 def _lie_apart(times: NDArray[np.int64], back: NDArray[np.bool_]) -> bool:
-    """True if the parts between which time leaps are of other hours.
+    """True if the parts between leaps in time cover different hours.
 
-    So are drives by name, and one in which a telephone's time zone was another for a while.
+    Files joined by name do, and so does a drive during which the phone's time zone differed.
     """
     begins = np.append(0, np.flatnonzero(back | (np.diff(times) > LEAP_NS)) + 1)
     if np.diff(np.append(begins, times.size)).min() < LEAST_PART:  # a broken date
@@ -393,7 +393,7 @@ def _forward(times: NDArray[Any]) -> NDArray[Any]:
 
 
 def _is_day_alone(clock: Clock, stamps: NDArray[np.int64]) -> bool:
-    """True if the column holds dates without a clock, or with that of midnight."""
+    """True if the column holds dates without a time, or with midnight as the time."""
     if clock.kind != "date" or len(clock.columns) > 1:
         return False
     times = stamps[stamps != NONE]
@@ -410,7 +410,7 @@ def _merit(clock: Clock, stamps: NDArray[np.int64], name: str) -> tuple[float, .
     return (
         round(times.size / max(1, stamps.size), 1),
         -float((steps < 0).sum()),
-        round(rising, 1),  # a date that comes in bursts tells no rows apart
+        round(rising, 1),  # a date written in bursts does not order rows
         float(clock.dated),
         score("time", name),
     )

@@ -1,4 +1,4 @@
-"""Start of a clock without a date, by another column, the name of the file or a comment."""
+"""Start of a clock without a date, from another column, the file's name or a comment."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from evpinn_ros.logs.clock_choice import FIRST_TIME_NS, clock_of_text
 from evpinn_ros.logs.survey import Survey
 
 STARTED = r"start\w*\s*(?:time)?\s*[=:]\s*(.+)"
-LONGEST_COMMENT = 200  # characters: the expression above takes the square of them
+LONGEST_COMMENT = 200  # characters: the expression above takes time quadratic in them
 _NAMED_DATE = re.compile(
     r"(?<!\d)(?:20)?(\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)"
     r"(?:[ T_-]*([0-2]\d)[-_.:]?([0-5]\d)(?:[-_.:]?[0-5]\d)?)?(?!\d)"
@@ -33,21 +33,21 @@ def start_by_date(
             continue
         dates = other.stamps(survey.cells)
         both = (times != NONE) & (dates != NONE)
-        if both.any():  # by the first row: some apps write the date in bursts, later and later
+        if both.any():  # by the first row: some apps write the date in bursts, with growing delay
             first = int(np.argmax(both))
             return int(dates[first] - times[first]), other
     return None
 
 
 class NamedDate(NamedTuple):
-    """A date in the name of a file: midnight, ns since 1970, and the time of day if it has one."""
+    """A date in a file's name: midnight, ns since 1970, and the time of day, if given."""
 
     day_ns: int
     clock_ns: int | None
 
 
 def dates_of_name(name: str) -> list[NamedDate]:
-    """Dates that a file's name may hold: 20181101, 181101, 2018-11-01_12-40-45 and the like."""
+    """Dates that a file's name may contain: 20181101, 181101, 2018-11-01_12-40-45 and similar."""
     dates = []
     for match in _NAMED_DATE.finditer(name):
         year, month, day = (int(part) for part in match.groups()[:3])
@@ -60,7 +60,7 @@ def dates_of_name(name: str) -> list[NamedDate]:
 
 
 def days_of_name(name: str) -> frozenset[int]:
-    """Days since 1970 that a file's name may hold."""
+    """Days since 1970 that a file's name may contain."""
     return frozenset(date.day_ns // DAY_NS for date in dates_of_name(name))
 
 
@@ -74,7 +74,7 @@ def day_of_name(name: str, first_ns: int, *, certain: bool) -> int | None:
 
 
 def start_of_comments(comments: Sequence[str]) -> int | None:
-    """The moment that a comment tells, ns, as OBD Fusion's `# StartTime = ... PM`; or None."""
+    """Time in a comment, ns, such as OBD Fusion's `# StartTime = ... PM`; or None."""
     for comment in comments:
         if match := re.search(STARTED, comment[:LONGEST_COMMENT], re.IGNORECASE):
             cells = [match[1].strip(' ,;"')]

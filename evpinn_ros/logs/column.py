@@ -1,4 +1,4 @@
-"""Columns of a table: those that are used, as names or a person say, and why others are not."""
+"""Columns of a table: those used, by name or by choice, and why others are not."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from evpinn_ros.logs.quantities import (
 from evpinn_ros.logs.signal import FloatArray, Signal
 
 SIGNED = ("current", "power")
-# The name of what is drawn differs from that of what flows back by any pair of these and `BACK`.
+# Names of drawn and returned energy differ by one of these and one of `BACK`.
 DRAWN = ("discharge", "discharging", "discharged", "drive", "drawn", "consumed", "out", "output")
 UNIT_WORDS, VALUE_WORDS = {"unit", "units", "einheit", "uom"}, {"value", "val", "wert"}
 LONGEST_LIST = 200  # characters of column names in a message
@@ -43,55 +43,55 @@ OF_PARTS = {
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column that is used."""
+    """A column in use."""
 
     quantity: str  # of `QUANTITIES`
     name: str  # in the file
     factor: float = 1.0  # to SI
-    unit: str = ""  # that of the file, with a minus where the sign is turned
-    why: str = ""  # the reason for the unit; empty when the name is one of ours
+    unit: str = ""  # of the file, with a minus if the sign is turned
+    why: str = ""  # reason for the unit; empty if the name is one of ours
     offset: float = 0.0  # to SI, added after the factor
     place: int = 0  # of the column in the file, from 0
-    wraps: float = 0.0  # in the file's unit: what is above half of it is a negative number
-    could_be: tuple[str, ...] = ()  # other units that explain it as well: its own is assumed
-    # of a current or power that is drawn alone: the place of what flows back, in the same unit
+    wraps: float = 0.0  # in the file's unit: span of numbers whose upper half is negative
+    could_be: tuple[str, ...] = ()  # other units that fit as well: the unit is assumed
+    # for current or power that is only drawn: index of the returned one, in the same unit
     back: int | None = None
 
     @property
     def has_unit(self) -> bool:
-        """True if its unit is known: by what is written, given or decided, or by our own name."""
+        """True if its unit is known: written, given, decided by values, or by our own name."""
         return bool(self.unit) or self.is_ours
 
     @property
     def is_ours(self) -> bool:
-        """True if its name is one of ours, which tells the unit and the sign."""
+        """True if its name is one of ours, which implies unit and sign."""
         return self.name == QUANTITIES[self.quantity].column
 
     def measured_in(self, text: str, unit: Unit, why: str) -> Column:
-        """Column whose unit is known."""
+        """The column with a known unit."""
         return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
 
     def turned(self) -> Column:
-        """Column with the other sign."""
+        """The column with the opposite sign."""
         return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
 
     def si(self, numbers: FloatArray) -> FloatArray:
-        """SI values of numbers of the file; the upper half of those that wrap is negative."""
+        """SI values of the file's numbers; the upper half of those that wrap is negative."""
         if self.wraps:
             numbers = np.where(numbers > 0.5 * self.wraps, numbers - self.wraps, numbers)
         return numbers * self.factor + self.offset
 
     def in_si(self, signal: Signal) -> Signal:
-        """The column's signal in SI, of one in the file's unit."""
+        """The column's signal in SI, from one in the file's unit."""
         return Signal(signal.time, self.si(signal.value))
 
     def guessed(self, others: Sequence[str]) -> Column:
-        """Column whose unit is assumed, for it could be others as well."""
+        """The column with an assumed unit, as the `others` fit as well."""
         return replace(self, could_be=tuple(others))
 
     @property
     def basis(self) -> str:
-        """What unit and sign rest on: `named`, `given`, `measured` or `assumed`."""
+        """Basis of unit and sign: `named`, `given`, `measured` or `assumed`."""
         if self.could_be:
             return "assumed"
         if self.is_ours or self.why.startswith(("by its name", "as in logs")):
@@ -100,7 +100,7 @@ class Column:
 
     @property
     def assumption(self) -> str:
-        """What is assumed, and how to say otherwise; empty where nothing is."""
+        """The assumption, and how to override it; empty without one."""
         if not self.could_be:
             return ""
         option = f"--column '{self.quantity}={self.name}:{self.could_be[0]}'"
@@ -112,18 +112,18 @@ class Column:
         )
 
     def in_unit(self, text: str, why: str) -> Column:
-        """Column in a unit of its quantity, as `QUANTITIES` spells it."""
+        """The column in a unit of its quantity, as `QUANTITIES` spells it."""
         return self.measured_in(text, QUANTITIES[self.quantity].units[text], why)
 
 
 def columns_by_name(
     header: Sequence[str], chosen: Sequence[str], empty: Collection[int] = ()
 ) -> list[Column]:
-    """The columns that are used, and all those for the time; those at `empty` are not guessed at.
+    """The columns in use, and all candidates for the time; those at `empty` are not guessed.
 
     A choice is `speed=NAME`, `speed=NAME:UNIT`, `:-UNIT` with a turned sign, or
-    `time=NAME:FORMAT`. InputError: a choice names no quantity, column or unit, or a needed
-    column's unit is unknown.
+    `time=NAME:FORMAT`. InputError: a choice names no quantity, column or unit, or the unit of a
+    needed column is unknown.
     """
     ours = [
         Column(BY_COLUMN[name], name, place=i)
@@ -138,7 +138,7 @@ def columns_by_name(
     quantities = {column.quantity for column in columns}
     taken = {column.place for column in columns} | set(unit_places(header).values())
     app = app_of(header)
-    # Beside our own names for what is needed, no other column is taken for that.
+    # If our own names cover all that is needed, no other column is guessed for it.
     decided = quantities | (NEEDED if is_complete(quantities) else frozenset())
     for quantity in QUANTITIES:
         if quantity in decided:
@@ -151,7 +151,7 @@ def columns_by_name(
                 if i not in taken and (name == best_name or score(quantity, name) > 0)
             ]
             continue
-        # Power is voltage times current: of a stranger's file it is not needed then.
+        # Power is voltage times current; then a foreign column of power is not needed.
         if quantity == "power" and {"voltage", "current"} <= quantities:
             continue
         free = (i for i in range(len(header)) if i not in taken and i not in empty)
@@ -174,7 +174,7 @@ def columns_by_name(
 
 
 def unit_places(header: Sequence[str]) -> dict[int, int]:
-    """Places of columns that hold the unit of another one, by the place of that."""
+    """Indices of columns that hold the unit of another column, by that column's index."""
     words = [words_of(name)[0].split() for name in header]
     bare = [tuple(w for w in of if w not in UNIT_WORDS | VALUE_WORDS) for of in words]
     units = {bare[i]: i for i, of in enumerate(words) if bare[i] and not UNIT_WORDS.isdisjoint(of)}
@@ -183,7 +183,7 @@ def unit_places(header: Sequence[str]) -> dict[int, int]:
 
 
 def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
-    """Place of a column whose name is the same but for what flows back; None without one."""
+    """Index of the column of returned energy whose name is otherwise the same, or None."""
     if quantity not in SIGNED:
         return None
     names = [words_of(name) for name in header]
@@ -196,13 +196,13 @@ def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
 
 
 def _foreign(quantity: str, name: str) -> str:
-    """The unit that a name has in brackets where it is none of the quantity's; empty if not."""
+    """The unit in brackets in a name if the quantity does not have it; else empty."""
     text, unit = unit_of(quantity, name)
     return text if unit is None else ""
 
 
 def is_complete(quantities: set[str]) -> bool:
-    """True if all that is needed is there."""
+    """True if the quantities include all that is needed."""
     battery = "power" in quantities or {"voltage", "current"} <= quantities
     return battery and {"time", "speed"} <= quantities
 
@@ -210,7 +210,7 @@ def is_complete(quantities: set[str]) -> bool:
 def check_columns(
     columns: Sequence[Column], header: Sequence[str], *, battery: bool = True
 ) -> None:
-    """Raise InputError for a table without time, speed or battery; it names the option."""
+    """Raise InputError for a table without time, speed or battery, naming the option."""
     quantities = {column.quantity for column in columns}
     there = f"there are {', '.join(filter(None, header))[:LONGEST_LIST] or 'none'}"
     if missing := [name for name in ("time", "speed") if name not in quantities]:
@@ -231,7 +231,7 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
         raise InputError(
             f"--column {text}{near}: say QUANTITY=NAME or QUANTITY=NAME:UNIT, with {quantities}"
         )
-    # The longest name, for names and formats may hold colons.
+    # Take the longest matching name: names and formats may contain colons.
     names = sorted((name for name in header if rest.startswith(f"{name}:")), key=len)
     name = rest if rest in header or not names else names[-1]
     unit = rest[len(name) + 1 :]
@@ -253,7 +253,7 @@ def _chosen(text: str, header: Sequence[str]) -> Column:
 
 
 def column_of(quantity: str, header: Sequence[str], place: int) -> Column:
-    """A column with the unit of its name or the app, if any; InputError for an unknown unit."""
+    """A column with the unit of its name or app, if any; InputError for an unknown unit."""
     column, foreign = _named(quantity, header, place)
     if foreign and quantity != "time":
         raise InputError(
@@ -264,7 +264,7 @@ def column_of(quantity: str, header: Sequence[str], place: int) -> Column:
 
 
 def _named(quantity: str, header: Sequence[str], place: int) -> tuple[Column, str]:
-    """A column with the unit that its name or the app tells; and one that is not known, if any."""
+    """A column with the unit that its name or app implies, and an unknown unit, if any."""
     name, app = header[place], app_of(header)
     column = Column(quantity, name, place=place)
     text, unit = unit_of(quantity, name)
@@ -285,7 +285,7 @@ def _spellings(quantity: str) -> str:
 def unused_columns(
     header: Sequence[str], used: Sequence[Column], clock: Collection[int], empty: Collection[int]
 ) -> dict[str, str]:
-    """Why each other column is not used; `clock` and `empty` are places of time and empty ones."""
+    """Why each other column is not used; `clock` and `empty` are column indices."""
     taken = {column.quantity: column for column in used}
     places = {*(column.place for column in used), *(column.back for column in used), *clock}
     return {
@@ -311,7 +311,7 @@ def _reason(name: str, taken: Mapping[str, Column]) -> str:
 
 
 def by_reason(unused: Mapping[str, str]) -> dict[str, list[str]]:
-    """Names by the reason why they are not used."""
+    """Names of columns by the reason why they are not used."""
     names_by_reason: dict[str, list[str]] = {}
     for name, why in unused.items():
         names_by_reason.setdefault(why, []).append(name)

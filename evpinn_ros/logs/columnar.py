@@ -14,13 +14,13 @@ with optional_imports():
 
 
 def write_columns(path: Path, out: Path) -> None:
-    """Write the columns of such a file, their names first, a row a line."""
+    """Write the columns of such a file as text: names first, then a row per line."""
     with open_file(path) as file:
-        # By its number, for in a name there may be signs of a pattern, or no text at all.
+        # By file descriptor, as a name may contain glob characters or not be text.
         source = f"/dev/fd/{file.fileno()}"
         is_parquet = path.suffix.lower() in (".parquet", ".pq")
         frame = pl.scan_parquet(source) if is_parquet else pl.scan_ipc(source)
-        # Nested columns hold no signal; a table of ours or of pandas has none.
+        # Nested columns hold no signal; tables of ours or of pandas have none.
         schema = frame.collect_schema()
         flat = {name: kind for name, kind in schema.items() if not kind.is_nested()}
         if len(flat) > MOST_COLUMNS:
@@ -32,7 +32,7 @@ def _text(name: str, kind: pl.DataType) -> pl.Expr:
     column, shown = pl.col(name), plain_cell(name)
     if isinstance(kind, pl.Duration):
         return (column.dt.total_nanoseconds() / 1e9).alias(f"{shown} [s]")
-    if kind == pl.Time:  # cast, it would lose what is below a second
+    if kind == pl.Time:  # a cast would lose fractions of a second
         return column.dt.to_string("%H:%M:%S%.f").alias(shown)
     text = column.cast(pl.String, strict=False)
     if kind in (pl.String, pl.Binary, pl.Categorical):

@@ -30,7 +30,7 @@ Bar = Callable[[float | None], AbstractContextManager[Callable[[float], None] | 
 
 @dataclass(frozen=True, slots=True)
 class TopicContents:
-    """A topic of a bag, with the log times of its messages."""
+    """A topic of a bag, with the log times of its messages, ns."""
 
     name: str
     type_name: str
@@ -41,25 +41,25 @@ class TopicContents:
 class Contents:
     """Contents of a recording."""
 
-    path: Path  # of it
+    path: Path  # of the recording
     kind: str  # `bag`, `CAN log` or `table`
     topics: tuple[TopicContents, ...] = ()  # of a bag
     columns: tuple[Column, ...] = ()  # of a table that are used
-    unused: Mapping[str, str] = field(default_factory=dict)  # those that are not, and why
-    # what tells the day of a table, see `Source`; None of what has stamps
+    unused: Mapping[str, str] = field(default_factory=dict)  # reasons of unused columns
+    # origin of a table's day, see `Source`; None for recordings with stamps
     dated: str | None = None
-    zoned: bool = True  # whether its clock is UTC or names its zone
-    frames: int = 0  # of a CAN log or a bag, that were looked at for the profile; 0 without
-    profile: str | None = None  # given, or that fits the frames; None when none does
-    vehicles: tuple[str, ...] = ()  # whose profile that is
-    # what the estimator can use, None when there is nothing of ours in it
+    zoned: bool = True  # True if its clock is UTC or names its zone
+    frames: int = 0  # frames of a CAN log or a bag used to find the profile; 0 without
+    profile: str | None = None  # given, or fitting the frames; None if none does
+    vehicles: tuple[str, ...] = ()  # vehicles with this profile
+    # data that the estimator can use; None if there are none
     drive: DataCoverage | None = None
-    dropped: Counter[str] | None = None  # what was not used of the drive, by reason
-    notes: tuple[str, ...] = ()  # what could not be read or used, and why
+    dropped: Counter[str] | None = None  # unused values of the drive, by reason
+    notes: tuple[str, ...] = ()  # what was not readable or usable, and why
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last time, of messages or else of readings; None when there is none."""
+        """First and last time of messages, or else of readings, ns; None if there are none."""
         flows = [topic.flow for topic in self.topics if topic.flow.count]
         if not flows and self.drive is not None:
             flows = [*self.drive.flows.values()]
@@ -71,12 +71,12 @@ class Contents:
 def contents(
     path: Path, options: ReadOptions = READ_DEFAULTS, bar: Bar = lambda _: nullcontext()
 ) -> Contents:
-    """Look through a bag, a CAN log or a table; InputError if none. `bar` is told its length."""
+    """Examine a bag, a CAN log or a table; InputError if none. `bar` gets its length, s."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
         return _with_drive(Contents(path, "table"), options, bar)
-    # What reads bags and buses takes a while to import: no other drive waits for it.
+    # Imported here: readers of bags and buses load slowly, and tables do not need them.
     from evpinn_ros.logs.bag_source import holds_frames
 
     recording = Contents(path, "CAN log")
@@ -107,7 +107,7 @@ def _topics(path: Path) -> tuple[TopicContents, ...]:
     with BagReader(path) as reader:
         times = {name: array("q") for name in reader.topics}
         for name, log_time_ns in reader.log_times():
-            times[name].append(min(log_time_ns, MOST_STAMP))  # a broken one may be beyond 64 bits
+            times[name].append(min(log_time_ns, MOST_STAMP))  # a broken one may exceed 64 bits
         return tuple(
             TopicContents(name, info.type_name, ReadingFlow.of(np.asarray(times[name], np.int64)))
             for name, info in reader.topics.items()
@@ -140,7 +140,7 @@ def _begin_ns(block: Block) -> int:
 
 
 def _source(recording: Contents, options: ReadOptions) -> Source:
-    """The drive in a recording; topics of ours are preferred to the frames of a bag."""
+    """The drive in a recording; our topics have priority over the frames of a bag."""
     vehicle = load_vehicle(GENERIC)
     if recording.kind == "bag":
         from evpinn_ros.logs.bag_source import bag_of_topics

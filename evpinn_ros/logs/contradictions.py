@@ -1,4 +1,4 @@
-"""Sentences on columns that contradict each other or the car, and on totals to be doubted."""
+"""Sentences on columns that contradict each other or the car, and on uncertain totals."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from evpinn_ros.logs.signal import (
     pull,
 )
 
-ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
-RISES = 0.7  # correlation of power with braking from which on it is that of braking
-SAME_SIZE = (0.5, 2.0)  # of the ratio of two powers that are one
-LONGEST_PAIR = 2.5  # s between a power and those beside it that tell its sign
-STRONG = 0.3  # of most of what flows back: more than noise
-MIRRORED = 0.4  # share by which a power without its sign differs from those beside it
-LEAST_LOST = 3  # powers that tell anything
-LEAST_LONE, LONE = 2, 0.035  # powers without their sign between those with it, and their share
+ALIKE = 0.5  # correlation from which on two powers are the same, up to sign and size
+RISES = 0.7  # correlation with braking from which on a power is that of braking
+SAME_SIZE = (0.5, 2.0)  # ratio of two powers that are the same
+LONGEST_PAIR = 2.5  # s between a power and its neighbours that imply its sign
+STRONG = 0.3  # share of most returned powers: above noise
+MIRRORED = 0.4  # share by which a power without its sign differs from its neighbours
+LEAST_LOST = 3  # powers needed to judge
+LEAST_LONE, LONE = 2, 0.035  # powers without their sign between signed ones, and their share
 LEAST_BRAKED, BRAKED = 10, 0.12  # s of hard braking, and their share
 LEAST_CLIPPED, CLIPPED = 10, 0.01  # values at the largest one, and their share
-BEYOND = 1.1  # of the largest power: what accelerating takes in the mean where it is clipped
-HARD_ON = 10_000.0  # W from which on the voltage of a battery falls by some V
-LIGHT_BELOW, HARD_ON_LIGHT = 60.0, 25.0  # V, and A of such a battery
-LEAST_TURNS, TURNS = 50, 100  # readings that tell whether two batteries take turns
-ONE_SIDED, TURN = 0.6, 0.01  # by chance at most 0.25 in given logs; of the value
-BEYOND_NEXT = 0.6  # of the change to the next but one: it is half of it where rows repeat
-CONSTANT = 1e-3  # of the voltage
+BEYOND = 1.1  # mean power of accelerating over the largest power, if that is clipped
+HARD_ON = 10_000.0  # W from which on a battery's voltage drops by some V
+LIGHT_BELOW, HARD_ON_LIGHT = 60.0, 25.0  # V, and A of such a battery, for the same
+LEAST_TURNS, TURNS = 50, 100  # readings that show whether two batteries alternate
+ONE_SIDED, TURN = 0.6, 0.01  # at most 0.25 by chance in given logs; share of the value
+BEYOND_NEXT = 0.6  # share of the change over two steps: half of it where rows repeat
+CONSTANT = 1e-3  # share of the voltage
 
 
 def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
@@ -51,7 +51,7 @@ def contradictions(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> I
 
 
 def doubts(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[str]:
-    """Sentences on why the totals of energy are not certain; cells in file units."""
+    """Sentences on why totals of energy are uncertain; cells in file units."""
     signals = {name: column.in_si(cells[name]) for name, column in used.items()}
     drawn = battery_power(signals)
     if drawn is None:
@@ -68,7 +68,7 @@ def doubts(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[
 
 
 def energy_doubts(signals: Mapping[str, Signal], of: str) -> Iterator[str]:
-    """Sentences on signs that are lost, offsets, limits and a voltage that stands; SI."""
+    """Sentences on lost signs, offsets, limits and a constant voltage; SI."""
     drawn, speed = battery_power(signals), signals["speed"]
     if drawn is None:
         return
@@ -97,7 +97,7 @@ def wrong_sign(of: str, remedy: str) -> str:
 
 
 def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
-    """Sentence on a battery that is never charged, SI: it does not show braking."""
+    """Sentence on a battery that is never charged, SI: regenerative braking is missing."""
     if _is_one_way(drawn) and not _rises_while_braking(drawn, speed):
         yield (
             "no current ever flows back into the battery, so nothing is known of its "
@@ -106,7 +106,7 @@ def never_back(drawn: Signal, speed: Signal) -> Iterator[str]:
 
 
 def unsigned(drawn: Signal, speed: Signal) -> Iterator[str]:
-    """Sentence on a power without its sign, SI."""
+    """Sentence on an unsigned power, SI."""
     if _is_one_way(drawn) and _rises_while_braking(drawn, speed):
         yield (
             "the harder the car brakes, the more the battery seems to give: the current has lost "
@@ -120,7 +120,7 @@ def _is_one_way(drawn: Signal) -> bool:
 
 
 def drawn_at_rest(drawn: Signal, speed: Signal) -> Iterator[str]:
-    """Sentence on a battery that gives more at rest than heating takes, SI: it has an offset."""
+    """Sentence on a battery that gives more than heating at rest, SI: it has an offset."""
     at_rest = drawn.value[(at_times(speed, drawn.time) == 0.0) & np.isfinite(drawn.value)]
     if at_rest.size >= LEAST_EVENTS and (power := float(np.median(at_rest))) > DRAWN_AT_REST.on:
         yield (
@@ -130,7 +130,7 @@ def drawn_at_rest(drawn: Signal, speed: Signal) -> Iterator[str]:
 
 
 def takes_turns(signal: Signal) -> bool:
-    """True if every other reading is larger than those beside it, for long and by far."""
+    """True if values alternate between larger and smaller, for long and clearly."""
     value = np.abs(signal.known)
     away = value[1:-1] - 0.5 * (value[:-2] + value[2:])
     size = min(TURNS, away.size)
@@ -145,7 +145,7 @@ def takes_turns(signal: Signal) -> bool:
 
 
 def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
-    """Sentence on a power, SI, of which a part of what flows back has lost its sign."""
+    """Sentence on a power, SI, part of whose returned power has lost its sign."""
     time, power = drawn.points()
     taken = -power[power < 0.0]
     if taken.size < LEAST_LOST or power.size < LEAST_EVENTS:
@@ -153,7 +153,7 @@ def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
     size = np.abs(power)
     large = size > STRONG * np.quantile(taken, 0.9)
     beside = (size[:-2] + size[2:]) / 2.0
-    # Three in a row of about one size, of which the middle one has another sign than both beside.
+    # Three powers in a row of similar size, the middle one of the opposite sign.
     near = time[2:] - time[:-2] <= 2.0 * LONGEST_PAIR
     smooth = large[:-2] & large[1:-1] & large[2:] & near
     smooth &= np.abs(size[1:-1] - beside) < MIRRORED * beside
@@ -162,7 +162,7 @@ def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
     back = power < 0.0
     lone = smooth & (back[:-2] == back[2:]) & (back[1:-1] != back[2:])
     smooth &= back[:-2] | back[1:-1] | back[2:]
-    # A rider may brake for a moment alone: some have to be positive between negative ones.
+    # A rider may brake for a single moment: some powers must be positive between negative ones.
     is_lost = (lone & back[2:]).sum() >= max(LEAST_LONE, LONE * smooth.sum())
     if is_lost or _mirrored(drawn, speed):
         yield (
@@ -172,7 +172,7 @@ def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
 
 
 def _mirrored(drawn: Signal, speed: Signal) -> bool:
-    """True if many powers of hard braking are positive and of the size of the negative ones."""
+    """True if many powers of hard braking are positive, but of the negative ones' size."""
     times, change = accelerations(speed)
     power, kinetic = at_times(drawn, times), -change * at_times(speed, times)
     steps = np.diff(drawn.points()[0])
@@ -185,14 +185,14 @@ def _mirrored(drawn: Signal, speed: Signal) -> bool:
         return False
     back = float(np.median(ratio[ratio < 0.0]))
     lost = (ratio > 0.0) & (np.abs(ratio + back) < -MIRRORED * back)
-    seconds = np.unique(times[hard][lost].round()).size  # of which a fast log has many readings
+    seconds = np.unique(times[hard][lost].round()).size  # a fast log has many readings per second
     return seconds >= LEAST_BRAKED and bool(lost.mean() >= BRAKED)
 
 
 def clipped(drawn: Signal, speed: Signal, of: str, unit: tuple[float, str]) -> Iterator[str]:
-    """Sentence on a current or power, SI, that stays at its largest while the car needs more.
+    """Sentence on a current or power, SI, that stays at its maximum while the car needs more.
 
-    The unit has its factor and its name.
+    `unit` is its factor and name.
     """
     largest = float(drawn.known.max(initial=0.0))
     at_largest = drawn.value == largest
@@ -216,7 +216,7 @@ def clipped(drawn: Signal, speed: Signal, of: str, unit: tuple[float, str]) -> I
 
 
 def constant_voltage(voltage: Signal, current: Signal) -> Iterator[str]:
-    """Sentence on a voltage, V, that does not fall under a large current, A."""
+    """Sentence on a voltage, V, that does not drop under a large current, A."""
     volts, amperes = voltage.known, current.known
     if min(volts.size, amperes.size) < LEAST_EVENTS:
         return

@@ -16,12 +16,12 @@ from evpinn_ros.core.signals.stream import StreamSettings
 from evpinn_ros.logs.source import STRAGGLING_NS
 
 MOVING = 1.0  # m/s
-SHORTEST = 10.0  # s, of a span that is worth naming
+SHORTEST = 10.0  # s: shorter spans are not reported
 MAX_GAP_NS = int(StreamSettings().max_gap * NANOSECONDS)
-# A signal that comes every 5 s is bridged over some of its own steps, but never over a stop.
+# A signal with a period of 5 s is bridged over some steps, but never over a stop.
 STEPS_BRIDGED = 6
 LONGEST_BRIDGED_NS = 30 * NANOSECONDS
-AT_ONCE = 4096  # stamps that are looked at again where time goes back
+AT_ONCE = 4096  # stamps that are checked together if time goes back
 
 Span: TypeAlias = tuple[int, int]  # first and last stamp, ns
 Stamps: TypeAlias = NDArray[np.int64]
@@ -29,14 +29,14 @@ Stamps: TypeAlias = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class ReadingFlow:
-    """Stamps of one kind, in the order in which they came.
+    """Stamps of one kind of reading, in order of arrival.
 
     Attributes:
-        count: of them.
-        first_ns: the earliest.
-        last_ns: the latest.
-        longest_gap: between two, s.
-        limit_ns: the longest gap that is bridged: some steps of the signal's own.
+        count: number of readings.
+        first_ns: earliest stamp, ns.
+        last_ns: latest stamp, ns.
+        longest_gap: longest time between two readings, s.
+        limit_ns: longest gap that is bridged, some steps of the signal, ns.
         runs: stretches without a longer gap.
     """
 
@@ -49,7 +49,7 @@ class ReadingFlow:
 
     @classmethod
     def of(cls, stamps: Stamps) -> ReadingFlow:
-        """The flow of stamps, ns, shape (n,); a straggler makes no gap."""
+        """The flow of stamps, ns, shape (n,); late readings make no gap."""
         if not len(stamps):
             return cls()
         newest = _newest(stamps)
@@ -71,18 +71,18 @@ class ReadingFlow:
 
     @property
     def rate(self) -> float:
-        """Per second; NaN when no time passed."""
+        """Readings per second; NaN if no time passed."""
         passed = (self.last_ns - self.first_ns) / NANOSECONDS
         return (self.count - 1) / passed if passed > 0 else math.nan
 
     @property
     def gaps(self) -> int:
-        """Count of those that are longer than the estimator bridges."""
+        """Number of gaps that are longer than the estimator bridges."""
         return max(0, len(self.runs) - 1)
 
 
 def _newest(stamps: Stamps) -> Stamps:
-    """The newest stamp before each, and after all, shape (n + 1,); a jump back begins anew."""
+    """Newest stamp before each reading and at the end, shape (n + 1,); a jump back restarts."""
     newest = np.empty(len(stamps) + 1, np.int64)
     newest[0] = newest_ns = int(stamps[0])
     first = 0
@@ -103,23 +103,23 @@ def _newest(stamps: Stamps) -> Stamps:
 class DataCoverage:
     """Data of a drive that the estimator can use."""
 
-    flows: dict[str, ReadingFlow]  # readings by kind, as `speed`
-    # in which speed and battery come without a gap that is too long, `SHORTEST` at least
+    flows: dict[str, ReadingFlow]  # by kind of reading, such as `speed`
+    # stretches of speed and battery without a long gap, of `SHORTEST` at least
     spans: tuple[Span, ...]
-    moving: float  # seconds of those in which the car moves
+    moving: float  # s of the spans in which the car moves
     distance: float  # m, of the whole drive, where speed is known
     voltage: float  # mean of the battery, V; NaN without one
-    # state of charge at the first and at the last, 0..1; NaN where unknown
+    # first and last state of charge, 0..1; NaN if unknown
     charge: tuple[float, float] = (math.nan, math.nan)
 
     @property
     def seconds(self) -> float:
-        """Length of all spans, s."""
+        """Total length of the spans, s."""
         return _seconds(self.spans)
 
     @property
     def verdict(self) -> str:
-        """In one line, what can be learned, or why nothing can."""
+        """Sentence on what can be learned, or why nothing can."""
         for kind in ("speed", "voltage", "current"):
             flow = self.flows.get(kind)
             if flow is None:
@@ -138,7 +138,7 @@ class DataCoverage:
 
 
 def data_coverage(blocks: Iterable[Block]) -> DataCoverage:
-    """Look through the readings of a drive; each signal has stamps of its own."""
+    """Summarise the readings of a drive; signals have separate stamps."""
     parts: dict[str, list[tuple[Stamps, np.ndarray]]] = {
         name: [(np.empty(0, np.int64), np.empty(0))] for kind in KINDS for name in _names(kind)
     }
@@ -170,14 +170,14 @@ def data_coverage(blocks: Iterable[Block]) -> DataCoverage:
 
 
 def _names(kind: type[Reading]) -> tuple[str, ...]:
-    """The signals of a kind of reading, as its first fields."""
+    """The signals of a kind of reading: its first fields."""
     if kind is BatteryReading:
         return "voltage", "current", "charge"
     return (kind.__name__.removesuffix("Reading").lower(),)
 
 
 def _common(first: Sequence[Span], second: Sequence[Span]) -> list[Span]:
-    """The stretches that lie in both; each list without overlaps of its own."""
+    """Intersection of two lists of spans, neither with overlaps of its own."""
     spans = []
     ours, theirs = sorted(first), sorted(second)
     i = j = 0

@@ -1,4 +1,4 @@
-"""File formats of recorded drives: which one a path is by its name, and the search for them."""
+"""Formats of recorded drives, by file name, and the search for recordings."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ SHEET_SUFFIXES = (".xlsx", ".xlsm")
 COLUMNAR_SUFFIXES = (".parquet", ".pq", ".feather", ".arrow")
 JSON_SUFFIXES = (".jsonl", ".ndjson", ".json")
 TABLE_SUFFIXES = (*TEXT_SUFFIXES, *SHEET_SUFFIXES, *COLUMNAR_SUFFIXES, *JSON_SUFFIXES, MF4)
-CONVERTERS = {  # what writes a table that is no text as one, in a process of its own
+CONVERTERS = {  # functions that convert a binary table to text, in a process of their own
     **dict.fromkeys(SHEET_SUFFIXES, "evpinn_ros.logs.sheets:write_sheet"),
     **dict.fromkeys(COLUMNAR_SUFFIXES, "evpinn_ros.logs.columnar:write_columns"),
     **dict.fromkeys(JSON_SUFFIXES, "evpinn_ros.logs.json_objects:write_objects"),
     MF4: "evpinn_ros.logs.measurement:write_signals",
 }
-# That a folder of drives may hold; a .json beside them may be a learned car or scores.
+# Suffixes in a folder of drives, where a .json may be a learned car or scores
 _DRIVES = {*TABLE_SUFFIXES, *LOG_SUFFIXES} - {".json"}
-_RECORDINGS = {*BAG_SUFFIXES, *_DRIVES} - {".txt"}  # that are sought in folders of folders
-FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # tell a CAN log's CSV from a drive's
+_RECORDINGS = {*BAG_SUFFIXES, *_DRIVES} - {".txt"}  # suffixes that are searched for in nested folders
+FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # distinguish a CAN log's CSV from a drive's
 
 
 def suffix_of(path: Path) -> str:
-    """In lower case and without .gz."""
+    """Suffix of a path, in lower case and without .gz."""
     return Path(path.name.lower().removesuffix(".gz")).suffix
 
 
 def unknown_kind(path: Path) -> InputError:
-    """Error for a file that is no recording; it names the kinds that are."""
+    """Error for a file that is no recording; it lists the supported kinds."""
     logs, tables = ", ".join(LOG_SUFFIXES), ", ".join(TABLE_SUFFIXES)
     return InputError(f"{path}: neither a bag, a CAN log ({logs}) nor a table ({tables})")
 
 
 def is_drive_table(path: Path) -> bool:
-    """True if a path is that of a table which is no log of a CAN bus; InputError if unreadable."""
+    """True if a path is a table that is no CAN log; InputError if unreadable."""
     suffix = suffix_of(path)
     if path.is_dir() or suffix not in TABLE_SUFFIXES:
         return False
@@ -57,8 +57,8 @@ def is_drive_table(path: Path) -> bool:
 
 
 def _holds_signals(path: Path) -> bool:
-    """True if an .mf4 holds measured signals that may be of use, and not only frames of a bus."""
-    from evpinn_ros.logs.text_table import ConvertedTable  # polars: a car's computer has none
+    """True if an .mf4 holds useful measured signals, not only frames of a bus."""
+    from evpinn_ros.logs.text_table import ConvertedTable  # imports polars, which a car's computer lacks
 
     try:
         ConvertedTable(path, CONVERTERS[MF4])
@@ -68,7 +68,7 @@ def _holds_signals(path: Path) -> bool:
 
 
 def files_of(path: Path) -> list[Path]:
-    """The path itself, or the drives in a folder that is no bag, in order of their names."""
+    """The path itself, or the drives in a folder that is no bag, sorted by name."""
     if not path.is_dir() or any(file.suffix in BAG_FILES for file in path.iterdir()):
         return [path]
     return sorted(file for file in path.iterdir() if suffix_of(file) in _DRIVES) or [path]
@@ -77,8 +77,8 @@ def files_of(path: Path) -> list[Path]:
 def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
     """The recordings at or below a path, unordered; real paths in `seen` are skipped and added.
 
-    Links are followed last: a drive that another car's folder links to is of the car in whose
-    folder it lies. OSError: a folder cannot be read.
+    Links are followed last: a linked drive belongs to the car in whose folder the file lies.
+    OSError: a folder cannot be read.
     """
     seen = set() if seen is None else seen
     waiting = deque([path])
@@ -97,7 +97,7 @@ def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
 
 
 def _is_bag_folder(path: Path) -> bool:
-    """True if a folder is one bag of rosbag2; a killed recorder left no metadata."""
+    """True if a folder is one rosbag2 bag; a killed recorder leaves no metadata."""
     if (path / "metadata.yaml").is_file():
         return True
     names = (file.name for file in path.iterdir() if file.suffix in BAG_SUFFIXES)

@@ -1,8 +1,8 @@
-"""Values that stand still while the car does not, and zeros in place of measurements.
+"""Removes values that freeze while the car moves, and zeros in place of measurements.
 
-A value is contradicted by the other signal, by the mass that both show elsewhere, and by the way
-between positions or that of the odometer. Where neither speed nor battery was measured
-(`unmeasured`), all goes.
+A frozen value is contradicted by the other signal, by the mass that both show elsewhere, and by
+the distance between positions or on the odometer. Where neither speed nor battery was measured
+(`unmeasured`), all values are removed.
 """
 
 from __future__ import annotations
@@ -39,35 +39,35 @@ from evpinn_ros.logs.unmeasured import (
 
 DRAWN = ("current", "power")
 MOST = {"speed": MAX_SPEED, "voltage": MAX_VOLTAGE, "current": MAX_CURRENT}
-LARGEST = 1e9  # of any other
+LARGEST = 1e9  # of any other quantity
 SHOWN = {"speed": (3.6, "km/h"), "current": (1.0, "A"), "power": (1.0, "W")}
 UNMEASURED = {
     "stand still": standing_together,
     "lie on straight lines": straight_together,
 }
 LEAST_STAND = 10.0  # s
-WINDOW = 15.0  # s; over more, a hill looks like speeding up
-UNSEEN = 1.0  # m/s^2: by so much power swings in most windows while the speed repeats
-LONG, UNSEEN_LONG = 60.0, 0.4  # s, m/s^2: no driver and no control keeps a speed so well
-DRIVING, STANDING = 8.0, 5.0  # m/s at which it swings so: what stands gives and takes less
+WINDOW = 15.0  # s; over longer windows a hill looks like speeding up
+UNSEEN = 1.0  # m/s^2: swing of power over mass in most windows while the speed is frozen
+LONG, UNSEEN_LONG = 60.0, 0.4  # s, m/s^2: no driver or cruise control keeps a speed so constant
+DRIVING, STANDING = 8.0, 5.0  # m/s at which power swings so: a standing car gives and takes less
 LEAST_CYCLES, LEAST_RISES = 4, 2  # changes between giving and taking, and to a large power
-LEAST_WORK, NO_STANDING_LOAD = 50.0, 15_000.0  # W: an offset is less, and no heater takes more
-LEAST_TURNS = 2  # from giving to taking or back
-LEAST_RISE = 10.0  # m/s, or the highest speed if lower: a car rises by it only with power
-FINER = 5.0  # resolutions of a current by which it has to change
-WRONG_WAY, APART = 0.15, 50.0  # of a way, and m between positions
-LEAST_WAY = 200.0  # m: positions wander while a car stands
-OTHER_WAY = 0.3  # logarithm of two ways that no error of an odometer explains
-SLOWEST_UNIT = 1.0 / 3.6  # m/s: of a speed, knots and mph are faster
-MOST_ASKED = 1000  # values that tell a resolution
-LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and the share of the hardest moments in them
-LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # to zero and back, and of all steps
+LEAST_WORK, NO_STANDING_LOAD = 50.0, 15_000.0  # W: above an offset; above any heater
+LEAST_TURNS = 2  # changes from giving to taking or back
+LEAST_RISE = 10.0  # m/s, or the highest speed if lower: a rise that takes power
+FINER = 5.0  # least change of a current, in resolutions
+WRONG_WAY, APART = 0.15, 50.0  # share of a distance, and m between positions
+LEAST_WAY = 200.0  # m: positions drift while a car stands
+OTHER_WAY = 0.3  # logarithm of a ratio of distances that no odometer error explains
+SLOWEST_UNIT = 1.0 / 3.6  # m/s: of km/h; knots and mph are larger
+MOST_ASKED = 1000  # values used to find a resolution
+LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and their share of the moments of most power
+LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # leaps to zero and back, and their share of all steps
 
 Signals = dict[str, Signal]
 
 
 class Standing:
-    """Takes what is no measurement out of a drive, block by block."""
+    """Removes values that are not measured from a drive, block by block."""
 
     def __init__(self, dropped: Counter[str]) -> None:
         self._dropped = dropped
@@ -75,19 +75,19 @@ class Standing:
         self._filled: set[str] = set()
         self._stands: dict[str, list[tuple[Stand, str]]] = {}
         self._readings, self._zeros = Counter[str](), Counter[str]()
-        self._ways: list[float] = []  # by the odometer over that by the speed
+        self._ways: list[float] = []  # distance by the odometer over that by the speed
         self._steps = self._leaps = 0
         self._lost: dict[str, list[Stand]] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what was taken out; complete once all blocks are through."""
+        """Sentences on the removed values; complete once all blocks are through."""
         return tuple(self._said())
 
     def drop(
         self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
     ) -> None:
-        """Set to NaN what is no measurement in `rows`, in order of time, of SI `values`."""
+        """Set unmeasured SI `values` to NaN in `rows`, indices in time order."""
         if "speed" not in values or not rows.size:
             return
         self._zero_ns = int(stamps[rows[0]]) if self._zero_ns is None else self._zero_ns
@@ -177,10 +177,10 @@ def _signals(
 
 
 def measured_alone(signals: Mapping[str, Signal]) -> Signals:
-    """Signals of one table in units that are not known yet, without zeros that fill cells."""
+    """Signals of one table in units not known yet, without zeros that fill cells."""
     measured = dict(signals)
     if "voltage" in signals:
-        off = signals["voltage"].value == 0.0  # a sensor that is off: its current is none either
+        off = signals["voltage"].value == 0.0  # the sensor is off, and so is its current
         for name in ("voltage", *DRAWN):
             if name in signals:
                 value = np.where(off, np.nan, signals[name].value)
@@ -192,7 +192,7 @@ def measured_alone(signals: Mapping[str, Signal]) -> Signals:
 
 
 def filled(signals: Mapping[str, Signal], least_unit: float = 1.0) -> set[str]:
-    """Names of signals whose zeros fill cells; a speed's unit is `least_unit`, m/s, or more."""
+    """Names of signals whose zeros fill cells; the unit of speed is `least_unit`, m/s, or more."""
     speed, names = signals["speed"], set()
     if _leaps_to_zero(speed, least_unit):
         names.add("speed")
@@ -216,7 +216,7 @@ def without_zeros(signal: Signal) -> Signal:
 
 
 def _is_fill(time: FloatArray, value: FloatArray, hardest: FloatArray) -> bool:
-    """True if a fine signal is 0 in many of the moments that take most power, time and again."""
+    """True if a fine signal is often 0 at moments of most power, in several stretches."""
     at = np.clip(np.searchsorted(time, hardest), 0, time.size - 1)
     zero = value[at] == 0.0
     stretch = np.cumsum(np.diff(value == 0.0, prepend=False))[at[zero]]
@@ -226,7 +226,7 @@ def _is_fill(time: FloatArray, value: FloatArray, hardest: FloatArray) -> bool:
 
 
 def _leaps_to_zero(speed: Signal, least_unit: float) -> bool:
-    """True if the speed leaps to most of its zeros and back as no car stops."""
+    """True if the speed leaps to most of its zeros and back faster than a car can stop."""
     time, value = speed.points()
     to_zero = (value[1:] == 0.0) != (value[:-1] == 0.0)
     changes = np.flatnonzero(to_zero)
@@ -236,7 +236,7 @@ def _leaps_to_zero(speed: Signal, least_unit: float) -> bool:
 
 
 def _resolution(values: FloatArray) -> float:
-    """Power of ten of which all values are multiples."""
+    """Largest power of ten that divides all values."""
     some = values[:MOST_ASKED]
     units = 10.0 ** np.arange(6, -7, -1)
     return next((unit for unit in units if np.allclose(some / unit, np.rint(some / unit))), 0.0)
@@ -263,7 +263,7 @@ def _contradicted(signals: Signals) -> Iterator[tuple[str, Stand, str]]:
 
 
 def _stands(signal: Signal) -> Iterator[Stand]:
-    """Stretches of one value, of `LEAST_STAND` and `LEAST_REPEATS` or more, none across a gap."""
+    """Stretches of one value, of `LEAST_STAND` and `LEAST_REPEATS` or more, without a gap."""
     time, value = signal.points()
     ends = np.flatnonzero((np.diff(value) != 0.0) | (np.diff(time) > LONGEST_STEP))
     firsts = np.concatenate(([0], ends + 1))
@@ -284,7 +284,7 @@ def _without(signal: Signal, stands: list[Stand]) -> Signal:
 
 
 def _other_way(stand: Stand, seen: Signal, signals: Signals) -> str:
-    """What shows another way than the speed that stands still; empty if nothing does."""
+    """Evidence of another distance than that of the frozen speed; empty without."""
     expected = abs(stand.value) * stand.seconds
     if signals.keys() >= set(PLACES):
         _, steps = steps_of_places({name: stand.holds(signals[name]) for name in PLACES}, APART)
@@ -306,17 +306,17 @@ def _other_way(stand: Stand, seen: Signal, signals: Signals) -> str:
 
 
 def _shows_driving(drawn: Signal, stand: Stand, speed: Signal, mass: float) -> bool:
-    """True if the battery works as that of a car that drives, while its speed stands still."""
+    """True if the battery works like that of a moving car while its speed is frozen."""
     if mass > 0.0:
         return _is_driven(stand, drawn, mass)
     return not stand.value and not speed.known.any() and _gives_and_takes(stand.holds(drawn))
 
 
 def _gives_and_takes(drawn: Signal) -> bool:
-    """True if power, W, goes up and down as no charger, heater or standing load does."""
+    """True if power, W, changes as no charger, heater or standing load does."""
     power = drawn.known
     most = float(np.quantile(np.abs(power), 0.95)) if power.size else 0.0
-    # States of hysteresis: each large power is one, and stays until the next that is another.
+    # Hysteresis: a large power sets a state, which lasts until the next other state.
     high, low, back = (power > 0.7 * most), (np.abs(power) < 0.3 * most), (power < -0.1 * most)
     rises, turns = _changes(high, low), _changes(high, back)
     return (turns >= LEAST_CYCLES and most > LEAST_WORK) or (
@@ -325,13 +325,13 @@ def _gives_and_takes(drawn: Signal) -> bool:
 
 
 def _changes(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> int:
-    """How often one of two states follows the other."""
+    """Number of changes from one of two states to the other."""
     states = first[first | second]
     return int(np.count_nonzero(states[1:] != states[:-1]))
 
 
 def _is_driven(stand: Stand, drawn: Signal, mass: float) -> bool:
-    """True if power swings while the speed stands still as it does with speeding up and down."""
+    """True if power swings during a frozen speed as it does when the speed changes."""
     time, power = stand.holds(drawn).points()
     if not stand.value:
         large = power[np.abs(power) > mass * UNSEEN * STANDING]
@@ -344,7 +344,7 @@ def _is_driven(stand: Stand, drawn: Signal, mass: float) -> bool:
 
 
 def _needs_power(stand: Stand, speed: Signal, drawn: Signal, mass: float) -> bool:
-    """True if speed rises and falls while its current or power stands still."""
+    """True if speed rises and falls while current or power is frozen."""
     inside, resolution = stand.holds(speed), FINER * _resolution(drawn.known)
     if not mass > 0.0 or not np.ptp(drawn.known):
         others = np.abs(drawn.known[drawn.known != stand.value])

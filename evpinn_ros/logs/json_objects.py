@@ -1,8 +1,8 @@
-"""Objects of JSON as text, a row each: those of lines, or the longest list in a document.
+"""Converts JSON to text, a row per object: objects of lines, or the longest list of a document.
 
-What stands in levels is named by its path: `telemetry.kmh`.
+Nested values are named by their path: `telemetry.kmh`.
 
-polars cannot read a file with a `NaN` or a torn last line.
+polars cannot read a file with a `NaN` or a truncated last line.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from evpinn_ros.common.opener import LONGEST_LINE, MOST_COLUMNS, open_file
 from evpinn_ros.common.writer import new_table, plain_cell
 
 NESTED = dict, list
-DEEPEST = 8  # levels of objects in a row
+DEEPEST = 8  # nested objects
 _decoded = json.JSONDecoder(parse_constant=lambda _: None).decode
 
 
@@ -35,7 +35,7 @@ def write_objects(path: Path, out: Path) -> None:
 
 
 def longest_list(document: object) -> list[dict[str, Any]]:
-    """The longest list of objects in a document; lists under the same names are one list."""
+    """The longest list of objects in a document; lists under the same names are joined."""
     lists: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     waiting: deque[tuple[tuple[str, ...], object]] = deque([((), document)])
     while waiting:
@@ -55,7 +55,7 @@ def longest_list(document: object) -> list[dict[str, Any]]:
 def _write(
     first: Iterable[dict[str, Any] | None], again: Iterable[dict[str, Any] | None], out: Path
 ) -> None:
-    """Write the names of rows, which come once for these and again for their values."""
+    """Write the names of `first`, then the values of the same rows in `again`."""
     names: dict[str, None] = {}
     for row in first:
         names.update(dict.fromkeys(row or ()))
@@ -77,7 +77,7 @@ def _write(
 
 
 def _objects(file: IO[bytes]) -> Iterator[dict[str, Any] | None]:
-    """The objects of lines up to one without an end, which is none."""
+    """The objects of all lines but an unterminated last one."""
     while line := file.readline(LONGEST_LINE + 1):
         yield _object(line)
         if len(line) > LONGEST_LINE:
@@ -85,7 +85,7 @@ def _objects(file: IO[bytes]) -> Iterator[dict[str, Any] | None]:
 
 
 def _object(line: bytes) -> dict[str, Any] | None:
-    """The object of a line, none of a blank one; None where it is something else."""
+    """The object of a line, empty for a blank one; None if the line is no object."""
     with suppress(ValueError, RecursionError):
         row = _decoded(line.decode("utf-8-sig")) if line.strip() else {}
         return flat(row) if isinstance(row, dict) else None
@@ -93,7 +93,7 @@ def _object(line: bytes) -> dict[str, Any] | None:
 
 
 def flat(row: dict[str, Any], levels: int = DEEPEST) -> dict[str, Any]:
-    """The values of an object and of those in it, named by their paths; no list is a signal."""
+    """Values of an object and of nested ones, named by their paths; lists are no signals."""
     values: dict[str, Any] = {}
     for name, value in row.items():
         if isinstance(value, dict) and levels:
@@ -105,5 +105,5 @@ def flat(row: dict[str, Any], levels: int = DEEPEST) -> dict[str, Any]:
 
 
 def _cell(value: object) -> object:
-    """A value on one line."""
+    """The value as one line of text."""
     return plain_cell(value) if isinstance(value, str) else value

@@ -1,4 +1,4 @@
-"""Measured signals of an ASAM .mf4 as a long table; damaged files crash asammdf: it runs apart."""
+"""Measured signals of an .mf4 as a long table; damaged files crash asammdf: it runs apart."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import new_table
 from evpinn_ros.logs.quantities import may_be_of_use
 
-with suppress(ImportError):  # at once, for the process is limited from what it took until then
+with suppress(ImportError):  # imported first, since limits of the process count from then on
     import asammdf  # noqa: F401
 
 HEADER = ("seconds", "name", "value", "unit")
 
 
 def write_signals(path: Path, out: Path) -> None:
-    """Write the signals of an .mf4 that may be of use, in order of time; no file without any."""
+    """Write useful signals of an .mf4 in time order; no file if there are none."""
     with optional_imports():
         from asammdf import MDF
     stamps, names, values = [], [], []

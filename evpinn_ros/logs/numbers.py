@@ -1,4 +1,4 @@
-"""Numbers as people's programs write them: decimal commas, thousands, signs, missing ones."""
+"""Numbers as apps write them: with decimal commas, thousands, signs, and missing values."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from evpinn_ros.logs.batch import Cells
 with optional_imports():
     import polars as pl
 
-# What apps write where a value is missing; NaN is MATLAB's and pandas'.
+# Texts of a missing value; NaN is that of MATLAB and pandas.
 MISSING = frozenset(("", "na", "n/a", "nan", "none", "null", "-", "--", "---", "?", "no data"))
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Between these all is measured, whatever the unit; beyond them squares would be none."""
+"""Range of sizes of measured values in any unit; squares beyond it would overflow."""
 _SPACES = "[ \u00a0\u202f'\u2019_]"
 
 
 class Style(NamedTuple):
-    """Style of a column's numbers: signs before decimals and between thousands."""
+    """Style of a column's numbers: decimal separator and thousands separator."""
 
     decimal: str = "."
     thousands: str = ","
@@ -32,18 +32,18 @@ POINT, COMMA = Style(".", ","), Style(",", ".")
 
 
 def is_missing(cell: str) -> bool:
-    """True if a cell says that there is no value."""
+    """True if a cell stands for a missing value."""
     return cell.strip().lower() in MISSING
 
 
 def filled(cells: Cells) -> pl.Series:
-    """The cells that say a value."""
+    """The cells with a value."""
     series = pl.Series("", cells, dtype=pl.String)
     return series.filter(~series.str.strip_chars().str.to_lowercase().is_in([*MISSING]))
 
 
 def style_of(cells: Cells) -> Style | None:
-    """The decimal and thousands signs of cells; None if uncertain: `12,345`, not `12,5`."""
+    """Decimal and thousands separators of cells; None if uncertain: `12,345`, not `12,5`."""
     text = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     votes = {style: text.str.contains(_certain(style)).sum() for style in (POINT, COMMA)}
     if votes[POINT] == votes[COMMA]:
@@ -52,7 +52,7 @@ def style_of(cells: Cells) -> Style | None:
 
 
 def _certain(style: Style) -> str:
-    """Pattern of the numbers that can be read in this style alone."""
+    """Pattern of numbers that only this style can read."""
     decimal, thousands = map(re.escape, style)
     one_sign = rf"\d+{decimal}(\d{{0,2}}|\d{{4,}})|{decimal}\d+|(0|\d{{4,}}){decimal}\d{{3}}"
     groups = rf"[+-]?\d{{1,3}}({thousands}\d{{3}}){{2,}}"
@@ -60,13 +60,13 @@ def _certain(style: Style) -> str:
 
 
 def to_floats(cells: Cells, style: Style) -> NDArray[np.float64]:
-    """The numbers of cells, NaN where there is none or an absurd one; shape as the cells."""
+    """The numbers of cells; NaN if missing or absurd. Shape as the cells."""
     series = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     values = series.cast(pl.Float64, strict=False)
     left = values.is_null() & (series != "")
     if style == COMMA or left.any():
         written = series.str.replace_all(_SPACES, "").str.replace_all("\u2212", "-", literal=True)
-        # A sign between thousands stands before three digits: 1,23 is no number then.
+        # A thousands separator stands before three digits: 1,23 is then no number.
         sign = re.escape(style.thousands)
         groups = rf"^[+-]?\d{{1,3}}({sign}\d{{3}})+({re.escape(style.decimal)}\d*)?$"
         bare = written.str.replace_all(style.thousands, "", literal=True)
