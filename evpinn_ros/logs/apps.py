@@ -17,7 +17,7 @@ class App(NamedTuple):
 
 
 # LeafSpy writes the ambient temperature in degrees F beside packs in both ("LeafSpy Log file
-# format", lstech.io). Its Speed is from the phone's GPS, which freezes or stops in a pocket; Speed2
+# format", lstech.io). Its Speed is the phone's GPS, which freezes or stops in a pocket; Speed2
 # is the car's own, in 0.01 km/h: it agrees with the odometer within 1 % ("Reading logs of apps" in
 # docs/project/benchmarks.md).
 # Its A/C Pwr is the sum of two estimates and would count the heater's twice.

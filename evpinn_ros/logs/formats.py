@@ -27,8 +27,8 @@ CONVERTERS = {  # functions that convert a binary table to text, in a process of
 }
 # Suffixes in a folder of drives, where a .json may be a learned car or scores
 _DRIVES = {*TABLE_SUFFIXES, *LOG_SUFFIXES} - {".json"}
-_RECORDINGS = {*BAG_SUFFIXES, *_DRIVES} - {".txt"}  # suffixes that are searched for in nested folders
-FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # distinguish a CAN log's CSV from a drive's
+_RECORDINGS = {*BAG_SUFFIXES, *_DRIVES} - {".txt"}  # sought in nested folders
+FRAME_COLUMNS = (b"arbitration_id", GVRET_HEADER.encode())  # mark a CAN log's CSV
 
 
 def suffix_of(path: Path) -> str:
@@ -58,7 +58,7 @@ def is_drive_table(path: Path) -> bool:
 
 def _holds_signals(path: Path) -> bool:
     """True if an .mf4 holds useful measured signals, not only frames of a bus."""
-    from evpinn_ros.logs.text_table import ConvertedTable  # imports polars, which a car's computer lacks
+    from evpinn_ros.logs.text_table import ConvertedTable  # polars: a car's computer lacks it
 
     try:
         ConvertedTable(path, CONVERTERS[MF4])

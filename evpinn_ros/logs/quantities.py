@@ -16,23 +16,23 @@ from typing import NamedTuple
 
 
 class Unit(NamedTuple):
-    """A unit: the SI value is the number in the file times `factor` plus `offset`."""
+    """A unit: SI value = number in the file * `factor` + `offset`."""
 
     factor: float
     offset: float = 0.0
 
 
 class ColumnQuantity(NamedTuple):
-    """Quantity that a column may hold; its phrases stand in one text each, with commas."""
+    """A quantity of a column, with phrases of its names as comma-separated text."""
 
-    column: str  # the name that needs no guessing, with the unit in it
-    words: str  # phrases of which a name must have one
-    # by their lower-case spelling; the first is taken when nothing tells
+    column: str  # our own name, with the unit in it
+    words: str  # phrases, one of which a name must contain
+    # by lower-case spelling; the first is the default
     units: Mapping[str, Unit]
-    needs: str = ""  # phrases of which it must have one as well; empty for none
-    better: str = ""  # that speak for a name
-    worse: str = ""  # that speak against it, where another one is there
-    never: str = ""  # that rule a name out
+    needs: str = ""  # phrases, one of which it must contain as well; empty for none
+    better: str = ""  # phrases that speak for a name
+    worse: str = ""  # phrases that speak against it if there is another
+    never: str = ""  # phrases that exclude a name
 
 
 @cache
@@ -85,9 +85,9 @@ _OTHERS = (
     "adapter,avg,average,mean,moyenne,media,durchschnittlich,zelle,cella,celda,cellule,obc,dcdc,evse,steering,sensor,throttle"
 )
 _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,speed,time"
-# Of a voltage that the app has computed from the measured one, or that the battery has at rest.
+# Words for a voltage that the app computed from the measured one, or that of a battery at rest.
 _COMPUTED = "corrected,compensated,open circuit,ocv,estimated,filtered,smoothed,nominal,simulated"
-# Words of what flows back, which give way to those of what is drawn.
+# Words for returned energy, the opposites of those for drawn energy.
 BACK = (
     *("charge", "charging", "charged", "regen", "regenerated", "regenerative", "regeneration"),
     *("recuperation", "recuperated", "returned", "in", "input"),
@@ -219,28 +219,28 @@ QUANTITIES: Mapping[str, ColumnQuantity] = {
 }
 _ENGINE = "engine speed,engine rpm,ice rpm,ice speed,régime moteur,verbrenner drehzahl"
 PLACES = ("latitude", "longitude")
-NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # of these, or most
+NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # needed, or most of these
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
-ANGLES = frozenset(_DEGREES)  # units of a grade that is no tangent
-# In brackets behind a name, but no unit: where the number comes from.
-ONE_WORD = ("speed", "power")  # a name may be its unit alone
-WORSE = 100.0  # what a name that has a worse phrase is behind those without
-SHORTEST_SPELLED = 3  # letters of a unit that may stand anywhere in a name
+ANGLES = frozenset(_DEGREES)  # units of a grade given as an angle
+# In brackets after a name, but not a unit: the source of the number.
+ONE_WORD = ("speed", "power")  # quantities that a unit alone can name
+WORSE = 100.0  # penalty of a name with a worse phrase
+SHORTEST_SPELLED = 3  # letters of a unit that may occur anywhere in a name
 _SPELLED = ("seconds", "minutes", "hours", "milliseconds", "millis")
 QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real")
 
 
 @lru_cache(maxsize=4096)
 def words_of(name: str) -> tuple[str, tuple[str, ...]]:
-    """Words outside and inside of brackets, lower case; a first bracket is a control unit."""
+    """Words outside and inside brackets, lower case; a bracket at the start is a control unit."""
     rest = re.sub(r"^\s*\[[^\]]*\]", "", name)
     brackets = [text for text, end in re.findall(r"[\[(]([^\])]*)([\])]?)", rest) if end]
     bare = re.sub(r"[\[(][^\])]*[\])]?", " ", rest)
     bare = bare.replace("_", " ")
-    # kW, mV and SoC are one word, vehicleSpeed and HVBatt two.
+    # Do not split kW, mV and SoC; do split vehicleSpeed and HVBatt.
     bare = re.sub(r"(?<=[a-z])(?<!\bk)(?<!\bm)(?<!\bSo)(?=[A-Z])", " ", bare)
     bare = re.sub(r"(?<=[A-Z])(?=[A-Z][a-z])", " ", bare)
-    # So are the words of batteriespannung and batteristrøm.
+    # Split batteriespannung and batteristrøm too.
     bare = re.sub(r"\b(battery|batterie|batterij|batteri)(?=\w{5})", r"\1 ", bare.lower())
     words = re.findall(r"[^\W_]+", bare)
     return f" {' '.join(words)} ", tuple(text.strip().lower() for text in brackets)
@@ -248,10 +248,10 @@ def words_of(name: str) -> tuple[str, tuple[str, ...]]:
 
 @lru_cache(maxsize=65536)
 def score(quantity: str, name: str) -> float:
-    """Score of a name for a quantity; 0 when it is none."""
+    """Score of a name for a quantity; 0 if it does not match."""
     meanings = QUANTITIES[quantity]
     words, brackets = words_of(name)
-    # A bracket that qualifies, as in `Voltage (OBD Adapter)(V)`, is part of the name.
+    # A bracket before the unit, as in `Voltage (OBD Adapter)(V)`, is part of the name.
     for text in brackets[:-1]:
         words += f"{text} "
 
@@ -269,31 +269,31 @@ def score(quantity: str, name: str) -> float:
 
 
 def speaks_of(quantity: str, name: str) -> bool:
-    """True if a name has a word of the quantity, of whatever part of the car it is."""
+    """True if a name contains a word of the quantity, for any part of the car."""
     words, _ = words_of(name)
     return any(f" {phrase} " in words for phrase in _phrases(QUANTITIES[quantity].words))
 
 
 def is_engine_speed(name: str) -> bool:
-    """True if a name is that of the speed of a combustion engine."""
+    """True if a name is the speed of a combustion engine."""
     words, _ = words_of(name)
     return any(f" {phrase} " in words for phrase in _phrases(_ENGINE))
 
 
 def may_be_of_use(name: str) -> bool:
-    """True if a signal of this name may hold a quantity beside the time."""
+    """True if a signal with this name may be a quantity other than time."""
     return any(score(quantity, name) > 0 for quantity in QUANTITIES if quantity != "time")
 
 
 def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
-    """Spelling and meaning of a name's unit: None for an unknown bracket, ("", None): none."""
+    """Spelling and meaning of a name's unit; (text, None) for an unknown one, ("", None): none."""
     units = QUANTITIES[quantity].units
     words, brackets = words_of(name)
     if brackets and (unit := known_unit(quantity, brackets[-1])):
         return brackets[-1], unit
     parts = words.replace(" per ", "/").split()
     for text in ("/".join(parts[-2:]), parts[-1] if parts else ""):
-        # A name of one word is the name: "t" is no ton, and "h" no hour.
+        # A single word is a name, not a unit: "t" is no ton, "h" no hour.
         if len(parts) > 1 and text in units:
             return text, units[text]
         if len(parts) == 1 and text in units and (quantity in ONE_WORD or text in _SPELLED):
@@ -308,7 +308,7 @@ def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
 
 
 def known_unit(quantity: str, text: str) -> Unit | None:
-    """The unit of this spelling; `250w` is 250 of the unit w."""
+    """The unit with this spelling; `250w` is 250 of the unit w."""
     units = QUANTITIES[quantity].units
     if text in units:
         return units[text]

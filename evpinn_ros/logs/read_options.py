@@ -13,18 +13,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """Options for what a recording does not tell itself; each kind takes those that concern it."""
+    """Options that a recording does not determine; each kind of recording uses its own."""
 
-    can_profile: str | None = None  # of a CAN log; None: that of the vehicle
-    trust_profile: bool = False  # read a CAN log also where it contradicts the profile
+    can_profile: str | None = None  # of a CAN log; None: the vehicle's
+    trust_profile: bool = False  # True: read a CAN log even if it contradicts the profile
     columns: Sequence[str] = ()  # choices of a table, see `logs.column.columns_by_name`
-    # the one to read, where a table or a bag holds several: what the table's column of cars has,
-    # or the namespace of its topics
+    # car to read if a table or bag contains several: its value in the table's column of cars,
+    # or its namespace in a bag
     car: str | None = None
-    terrain: Terrain | None = None  # heights in place of recorded ones, where positions are known
+    terrain: Terrain | None = None  # heights that replace recorded ones where positions are known
     mounting: Rotation | None = None  # of a bag's IMU, see `topics.readings.grade_reading`
-    pace: float | None = None  # m/s, of a track that has neither times nor speeds
-    battery: bool = True  # False for a table that needs no columns of a battery
+    pace: float | None = None  # m/s, for a track without times and speeds
+    battery: bool = True  # False for a table that needs no battery columns
 
 
 READ_DEFAULTS = ReadOptions()

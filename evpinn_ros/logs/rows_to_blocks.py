@@ -1,4 +1,4 @@
-"""Sorts rows of numbers by time, and makes blocks of readings from them."""
+"""Sorts numeric rows by time and makes blocks of readings from them."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from evpinn_ros.core.signals.readings import (
 from evpinn_ros.logs.signal import FloatArray, last_known
 from evpinn_ros.logs.source import STRAGGLING_NS
 
-AMBIENT_C = (-60.0, 70.0)  # what lies outside is no weather but a sensor that says nothing
+AMBIENT_C = (-60.0, 70.0)  # values outside come from a sensor without a reading
 
-# A value that repeats longer is taken again, as of a steady car.
+# A value that repeats for longer was measured again, as in steady driving.
 LONGEST_HELD_NS = 1_500_000_000
 BATTERY = ("voltage", "current", "power", "charge")
-# A column of the 12 V load is none of them: it stands all day, and is learned as such.
+# A column of the 12 V load is not listed: it is constant all day, and is learned as such.
 LOADS = ("heating", "aircon")
-MOST = 1e12  # of anything in SI; beyond, products would be infinite
+MOST = 1e12  # largest SI value; products of larger ones would overflow
 
 Columns = dict[str, FloatArray]
 
 
 class RowOrder:
-    """Sorts rows by stamp, batch by batch, and drops late ones.
+    """Sorts rows by stamp, batch by batch, and drops late rows.
 
     Attributes:
-        dropped: rows that were too late, or alone in the future.
+        dropped: number of rows that were too late, or isolated in the future.
     """
 
     def __init__(self) -> None:
@@ -46,9 +46,9 @@ class RowOrder:
         self._newest = -1
 
     def sorted(self, stamps: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Some rows in order, none older than those of the batches before.
+        """Indices of rows in order of time, none older than rows of earlier batches.
 
-        `stamps`, ns, shape (n,), are those of all rows of the batch; `rows` those that have one.
+        `stamps`, ns, shape (n,), are those of all rows of the batch; `rows` those with a stamp.
         """
         kept = rows[~_alone(stamps[rows])]
         times = stamps[kept]
@@ -63,7 +63,7 @@ class RowOrder:
 
 
 def _alone(times: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """True if a row is in the future of its neighbours: one broken digit of a date."""
+    """True if a row is in the future of both neighbours: one digit of a date is wrong."""
     alone = np.zeros(times.size, dtype=bool)
     if times.size > 2:
         ahead = times[1:-1] - times[2:] > STRAGGLING_NS
@@ -85,8 +85,8 @@ class HeldSignals:
 
         Args:
             stamps: of all rows of the batch, ns, shape (n,).
-            values: of these, by quantity; changed here.
-            rows: those that are used, in order of time.
+            values: of these rows, by quantity, shape (n,) each; modified in place.
+            rows: indices of the rows in use, in order of time.
         """
         for name, (since_ns, last) in self._last.items():
             told = rows[~np.isnan(values[name][rows])]
@@ -103,12 +103,12 @@ class RowBlocks:
     """Makes blocks of rows, batch by batch.
 
     Attributes:
-        used: rows that gave a reading.
-        at_nominal_voltage: battery readings of power without a voltage.
+        used: number of rows that gave a reading.
+        at_nominal_voltage: number of battery readings of power without a voltage.
     """
 
     def __init__(self, nominal_voltage: float, dropped: Counter[str]) -> None:
-        """Begin; what is left out is counted in `dropped`."""
+        """Begin; omitted values are counted in `dropped`."""
         self.used = self.at_nominal_voltage = 0
         self._nominal_voltage = nominal_voltage
         self._dropped = dropped
@@ -118,10 +118,10 @@ class RowBlocks:
     def block(
         self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
     ) -> Block:
-        """The readings of some rows: of each row in the order of `_columns`.
+        """The readings of some rows, row by row in the order of `_columns`.
 
-        `stamps`, ns, and `values`, SI, NaN where there is none, are those of all rows of the
-        batch, shape (n,); `rows` are those to take, in order of time.
+        `stamps`, ns, and `values`, SI, NaN if missing, are those of all rows of the batch, shape
+        (n,); `rows` are the indices to use, in order of time.
         """
         self._limit(values)
         stamps = stamps[rows]
@@ -148,11 +148,11 @@ class RowBlocks:
     def _columns(
         self, stamps: NDArray[np.int64], values: Columns
     ) -> Iterator[tuple[type[Reading], NDArray[np.bool_], tuple[FloatArray, ...]]]:
-        """Each kind of reading, in which rows it is, and its fields, shape (n,) each."""
+        """Each kind of reading, the mask of its rows, and its fields, shape (n,) each."""
         empty = np.full(stamps.size, np.nan)
 
         def told(name: str, *quantities: str) -> NDArray[np.bool_]:
-            """Rows in which any of the quantities is known for the first time at their stamp."""
+            """Rows in which any of the quantities is first known at its stamp."""
             there = np.isfinite([values.get(quantity, empty) for quantity in quantities])
             return self._new(name, stamps, np.asarray(there.any(axis=0)))
 
@@ -178,11 +178,11 @@ class RowBlocks:
             yield MotorReading, told("motor", "motor_torque"), torque
 
     def _limit(self, values: Mapping[str, FloatArray]) -> None:
-        """Take out what no sensor measures."""
+        """Remove values that no sensor measures."""
         self._drop(values, "charge", 0.0, 100.0, "soc_pct_out_of_range")
         self._drop(values, "ambient", *AMBIENT_C, "ambient_c_out_of_range")
         if "voltage" in values:
-            off = values["voltage"] <= 0  # a sensor that is off, and so its current
+            off = values["voltage"] <= 0  # the sensor is off, and so is its current
             self._dropped["voltage_not_positive"] += int(off.sum())
             for name in ("voltage", "current", "power"):
                 if name in values:
@@ -204,7 +204,7 @@ class RowBlocks:
         power: FloatArray,
         charge: FloatArray,
     ) -> tuple[NDArray[np.bool_], tuple[FloatArray, ...]]:
-        """Voltage and current; where one is missing, power by the last voltage, or the nominal."""
+        """Voltage and current; if one is missing, from power by the last or nominal voltage."""
         from_power = np.isfinite(power) & np.isnan(volts + amperes)
         measured = np.isfinite(volts)
         held = last_known(np.append(self._last_volts, volts))
@@ -224,7 +224,7 @@ class RowBlocks:
     def _new(
         self, name: str, stamps: NDArray[np.int64], there: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Where values are there and later than the last of their name; the others are counted."""
+        """Rows with values newer than the last of their name; other values are counted."""
         times = stamps[there]
         later = np.diff(times, prepend=self._last_ns.get(name, -1)) > 0
         self._dropped["time_not_increasing"] += int((~later).sum())

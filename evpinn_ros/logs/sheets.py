@@ -1,4 +1,4 @@
-"""Workbooks of spreadsheets as text, by openpyxl, which runs apart (`common.sandbox`)."""
+"""Converts workbooks to text by openpyxl in another process (`common.sandbox`)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.writer import new_table, plain_cell
 from evpinn_ros.logs.survey import OTHER_SHEETS, names_some
 
-with suppress(ImportError):  # at once, for the process is limited from what it took until then
+with suppress(ImportError):  # imported first, since limits of the process count from then on
     import openpyxl  # noqa: F401
 
-MOST_EMPTY = 1000  # rows in a row that hold nothing: the sheet is over
+MOST_EMPTY = 1000  # consecutive empty rows that end the sheet
 EMPTY_ABOVE = 50  # rows above the header
 
 
 def write_sheet(path: Path, out: Path) -> None:
-    """Write the first visible .xlsx sheet with a table, and those that continue it."""
+    """Write the first visible sheet with a table of an .xlsx, and the sheets that continue it."""
     with optional_imports():
         from openpyxl import load_workbook
     with open_file(path) as file, new_table(out) as table:
@@ -35,7 +35,7 @@ def write_sheet(path: Path, out: Path) -> None:
         heads = {sheet.title: list(islice(_rows(sheet), 2)) for sheet in sheets}
         tables = [sheet for sheet in sheets if len(heads[sheet.title]) == 2] or sheets[-1:]
         drives = [sheet for sheet in tables if names_some(heads[sheet.title][0])]
-        first = next(iter(drives), tables[0])  # a line alone is a note
+        first = next(iter(drives), tables[0])  # a single line is a note
         same = [sheet for sheet in tables if heads[sheet.title][:1] == heads[first.title][:1]]
         if others := [sheet.title for sheet in tables if sheet not in same]:
             writer.writerow([f"{OTHER_SHEETS}{', '.join(map(plain_cell, others))}"])
@@ -44,7 +44,7 @@ def write_sheet(path: Path, out: Path) -> None:
 
 
 def _rows(sheet: Any) -> Iterator[list[str]]:
-    # The size that a sheet states is not trusted: it may be a million rows.
+    # The stated size of a sheet may be wrong, such as a million rows.
     sheet.reset_dimensions()
     empty, begun = 0, False
     for cells in sheet.iter_rows(values_only=True):
@@ -52,7 +52,7 @@ def _rows(sheet: Any) -> Iterator[list[str]]:
             raise InputError(f"a row of more than {MOST_COLUMNS} columns")
         row = [_text(cell) for cell in cells]
         if any(row):
-            # Rows keep the number that they have in the sheet.
+            # Rows keep their numbers in the sheet.
             yield from ([] for _ in range(empty))
             empty, begun = 0, True
             yield row

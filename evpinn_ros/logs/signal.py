@@ -1,4 +1,4 @@
-"""Columns as signals: accelerations, values at other times, and the mass that a power moves."""
+"""Columns as signals: accelerations, interpolation, and the mass that a power moves."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-EVENT = 0.3  # m/s^2 from which on it is accelerating or braking
-LEAST_EVENTS = 20  # moments of accelerating, and of braking, that tell a sign
-LONGEST_STEP = 10.0  # s between two speeds that still tell an acceleration
+EVENT = 0.3  # m/s^2 from which on a car accelerates or brakes
+LEAST_EVENTS = 20  # moments of accelerating, and of braking, needed to judge a sign
+LONGEST_STEP = 10.0  # s between two speeds that still give an acceleration
 EARTH = 6_371_000.0  # m
 LEAST_WAY = 1e-9  # in any unit
 HARDEST, LEAST_LEAP, LONGEST_LEAP = 4.0, 1.0, 3.0  # m/s^2, m/s, s
-LIKE = 0.4  # correlation of power with speed times acceleration from which on it tells the mass
+LIKE = 0.4  # correlation of power with speed times acceleration from which on they give the mass
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Sample of a column: times, s, and values in the file's unit; shape (n,)."""
+    """Samples of a column: times, s, and values in the file's unit, shape (n,) each."""
 
     time: FloatArray
     value: FloatArray
@@ -33,18 +33,18 @@ class Signal:
 
     @property
     def known(self) -> FloatArray:
-        """The values that are finite."""
+        """The finite values."""
         return self.value[np.isfinite(self.value)]
 
 
 def last_known(values: FloatArray) -> FloatArray:
-    """Each value until the next that is finite; NaN before the first."""
+    """Each value held until the next finite one; NaN before the first."""
     last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))
     return np.asarray(values[last])
 
 
 def pull(speed: Signal, power: Signal) -> float:
-    """Power over speed times acceleration: the mass, kg, for W and m/s; NaN if not alike."""
+    """Power over speed times acceleration: for W and m/s, the mass, kg; NaN if uncorrelated."""
     times, change = accelerations(speed)
     kinetic = change * at_times(speed, times)
     drawn = at_times(power, times)
@@ -58,7 +58,7 @@ def pull(speed: Signal, power: Signal) -> float:
 
 
 def battery_power(signals: Mapping[str, Signal]) -> Signal | None:
-    """Voltage times current where both are there, else the power; None without either."""
+    """Voltage times current if both are there, else the power; None without either."""
     if {"voltage", "current"} <= signals.keys():
         current = signals["current"]
         return Signal(current.time, current.value * at_times(signals["voltage"], current.time))
@@ -66,7 +66,7 @@ def battery_power(signals: Mapping[str, Signal]) -> Signal | None:
 
 
 def correlation(values: FloatArray, others: FloatArray, least: int = LEAST_EVENTS) -> float:
-    """Correlation of what is finite in both; NaN of fewer than `least`, or of a constant."""
+    """Correlation where both are finite; NaN for fewer than `least` values, or a constant."""
     both = np.isfinite(values) & np.isfinite(others)
     values, others = values[both], others[both]
     if values.size < least or not np.ptp(values) or not np.ptp(others):
@@ -75,7 +75,7 @@ def correlation(values: FloatArray, others: FloatArray, least: int = LEAST_EVENT
 
 
 def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
-    """Middles, s, and changes of speed per second over about a second, shape (n,) each."""
+    """Midpoints, s, and slopes of speed over about a second, shape (n,) each."""
     time, value = speed.points()
     if time.size < 3:
         return np.empty(0), np.empty(0)
@@ -89,18 +89,18 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
 
 
 def leaps(time: FloatArray, speed: FloatArray) -> NDArray[np.bool_]:
-    """Mask of the steps, shape (n - 1,), of a speed, m/s, that no car does."""
+    """Mask of the steps, shape (n - 1,), of a speed, m/s, that are impossible for a car."""
     steps, change = np.diff(time), np.abs(np.diff(speed))
     return np.asarray((change > LEAST_LEAP + HARDEST * steps) & (steps <= LONGEST_LEAP))
 
 
 def speeds_up_and_down(speed: Signal) -> bool:
-    """True if a car does so often enough that its battery has to show it; m/s."""
+    """True if a car accelerates and brakes often enough for its battery to show it; m/s."""
     return int((np.abs(accelerations(speed)[1]) > EVENT).sum()) >= LEAST_EVENTS
 
 
 def at_times(signal: Signal, times: FloatArray) -> FloatArray:
-    """The signal at other times by interpolation; NaN within a gap of its own."""
+    """The signal interpolated at other times; NaN within a gap of its own."""
     time, value = signal.points()
     if time.size < 2:
         return np.full(times.shape, np.nan)
@@ -116,7 +116,7 @@ def at_times(signal: Signal, times: FloatArray) -> FloatArray:
 
 
 def ways(speed: Signal, times: FloatArray) -> FloatArray:
-    """Integral of the speed between times, shape one less; NaN across a gap, and where it is 0."""
+    """Integral of speed between times, shape one less; NaN across a gap, and where it is 0."""
     at, value = speed.points()
     span = np.diff(at)
     middle = 0.5 * np.abs(value[1:] + value[:-1])
@@ -127,7 +127,7 @@ def ways(speed: Signal, times: FloatArray) -> FloatArray:
 
 
 def steps_of_places(cells: Mapping[str, Signal], apart: float) -> tuple[FloatArray, FloatArray]:
-    """Times of positions that are so far apart, m, and ways between them, m, shape one less."""
+    """Times of positions at least `apart` m from each other; distances, m, shape one less."""
     time, *degrees = cells["latitude"].time, cells["latitude"].value, cells["longitude"].value
     north, east = np.radians(degrees)
     there = np.isfinite(north + east + time) & (north != 0.0)

@@ -1,4 +1,4 @@
-"""A recorded drive of any kind, as one stream of readings in blocks."""
+"""A recorded drive of any kind as a stream of readings in blocks."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, Reading
 from evpinn_ros.logs.column import Column
 
-STRAGGLING_NS = 10 * NANOSECONDS  # by which readings may be late; further back time began anew
+STRAGGLING_NS = 10 * NANOSECONDS  # largest lateness of readings; further back, time restarted
 
 
 class Source(ABC):
-    """A recorded drive, opened: its readings and what of it was not used."""
+    """A recorded drive, opened: its readings, and reports on unused data."""
 
     rules: tuple[Column, ...] = ()  # columns of a table that are used, in the order of the file
     ignored: Mapping[str, str] = MappingProxyType({})  # other columns, each with the reason
-    dated: str | None = None  # tells a table's day: `log`, `name` of the file, "" for nothing
-    zoned = True  # the clock is UTC or names its zone
-    in_order = True  # False: rows of a table were sorted by time
-    stops_s = 0.0  # s between its first and last reading that are no part of the drive
+    dated: str | None = None  # source of a table's day: `log`, `name` of the file, "" for none
+    zoned = True  # True if the clock is UTC or names its zone
+    in_order = True  # False if rows of a table were sorted by time
+    stops_s = 0.0  # s of stops between its first and last reading that do not belong to it
 
     def __init__(self, path: Path, log: Source | None = None) -> None:
-        """Nothing was dropped yet; columns and clock are those of the log that it is made of."""
-        self.path = path  # where it lies
-        self.dropped: Counter[str] = Counter()  # by reason, complete at the end
+        """Start with no drops; take columns and clock of `log`, of which this is a part."""
+        self.path = path  # of the file or folder
+        self.dropped: Counter[str] = Counter()  # by reason; complete at the end
         self._ahead: deque[Block] | None = None
         if log is not None:
             self.rules, self.ignored, self.in_order = log.rules, log.ignored, log.in_order
@@ -37,39 +37,39 @@ class Source(ABC):
     @property
     @abstractmethod
     def seconds(self) -> float | None:
-        """Length of the drive, s; None where only reading it tells."""
+        """Length of the drive, s; None if only reading it shows that."""
 
     @property
     @abstractmethod
     def problem(self) -> str | None:
-        """Unreadable part, in one line; None while all is well, final when exhausted."""
+        """Unreadable part, in one line; None without one. Final once exhausted."""
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """Units and signs that the data do not decide, each with the option to say otherwise."""
+        """Units and signs that the data leave open, each with the option to change it."""
         return tuple(filter(None, (rule.assumption for rule in self.rules)))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for a person on how it was read; complete once exhausted."""
+        """Notes for a person on how the drive was read; complete once exhausted."""
         return ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on why its totals are not certain; complete once exhausted."""
+        """Sentences on why totals are uncertain; complete once exhausted."""
         return ()
 
     @abstractmethod
     def read(self) -> Iterator[Block]:
-        """Read the drive: `blocks`, some of which may be without a reading."""
+        """Read the drive: `blocks`, possibly with empty ones."""
 
     def read_ahead(self) -> Sequence[Block]:
-        """Read the whole drive; the next `blocks` are these, each forgotten once it is given."""
+        """Read the whole drive; the next `blocks` returns these, freeing each after use."""
         self._ahead = deque(self.blocks())
         return self._ahead
 
     def blocks(self) -> Iterator[Block]:
-        """Readings in recorded order, in blocks, as far as readable; InputError if none."""
+        """Blocks of readings in recorded order, up to any damage; InputError if none."""
         if self._ahead is None:
             yield from filter(len, self.read())
             return
@@ -78,6 +78,6 @@ class Source(ABC):
             yield ahead.popleft()
 
     def readings(self) -> Iterator[Reading]:
-        """The same one by one."""
+        """The same readings one by one."""
         for block in self.blocks():
             yield from block.readings()

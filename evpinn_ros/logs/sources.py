@@ -21,7 +21,7 @@ from evpinn_ros.logs.source import Source
 if TYPE_CHECKING:
     from evpinn_ros.logs.table_drive import TableDrive
 
-NOMINAL_VOLTAGE = 350.0  # V, of a car that is not known
+NOMINAL_VOLTAGE = 350.0  # V, of an unknown car
 
 
 def open_source(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> Source:
@@ -30,7 +30,7 @@ def open_source(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAUL
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
         return open_drive(path, vehicle.nominal_voltage, options)
-    # What reads bags and buses takes a while to import: no other drive waits for it.
+    # Imported here: readers of bags and buses load slowly, and tables do not need them.
     if is_bag(path):
         from evpinn_ros.logs.bag_source import bag_of_topics
 
@@ -47,7 +47,7 @@ def open_drive(
     options: ReadOptions = READ_DEFAULTS,
 ) -> TableDrive:
     """Open a table of a drive; power alone becomes current at `nominal_voltage`, V. InputError."""
-    # polars takes a quarter of a second: whoever opens no table does not wait for it.
+    # Imported here: polars takes a quarter of a second to load.
     from evpinn_ros.logs.table_drive import TableDrive
     from evpinn_ros.logs.text_table import ConvertedTable, TextTable
 

@@ -1,8 +1,8 @@
-"""The unit of a speed and of an odometer whose names tell none.
+"""The unit of a speed and of an odometer whose names have none.
 
-Positions and a known odometer tell it; with an unknown odometer, km/h and km explain the way as
-well as mph and miles do. The power of accelerating tells the mass, known but for its order of
-magnitude. What several candidates explain is assumed, and says so.
+Positions and a known odometer show it; with an unknown odometer, km/h and km fit the distance as
+well as mph and miles. The power of accelerating shows the mass, whose order of magnitude is known.
+If several units fit, one is assumed and reported as such.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ FASTEST = {
     "m/s": 45.0,
     "mph": 130.0,
     "km/h": 250.0,
-}  # what is larger is hardly a speed of a car in this unit
-STRONGEST = 4.0  # m/s^2: what changes faster in one second of a hundred is in another unit
-SAME_ROAD = 0.15  # logarithm of two ways that are one; m/s by miles is 0.33 from mph by km
+}  # largest plausible speed of a car in this unit
+STRONGEST = 4.0  # m/s^2: if 1 % of the changes within a second exceed this, the unit is another
+SAME_ROAD = 0.15  # log ratio of equal distances; m/s with miles is 0.33 from mph with km
 LEAST_SEGMENTS, MOST_SEGMENTS = 3, 20  # from one step of the odometer to a later one
-SEGMENT = 300.0  # m between two positions that tell a way
+SEGMENT = 300.0  # m between two positions that give a distance
 SPEEDS = {text: QUANTITIES["speed"].units[text].factor for text in ("km/h", "mph", "m/s")}
 LENGTHS = {text: QUANTITIES["odometer"].units[text].factor for text in ("km", "mi")}
 
 
 class Masses(NamedTuple):
-    """Masses of a class of vehicles, kg; outside of the limits there is none, however odd."""
+    """Masses of a class of vehicles, kg; values outside the limits are impossible."""
 
     least: float
     usual: float
-    heavy: float  # up to which km/h is likelier than a lighter one in mph
+    heavy: float  # below it, km/h is likelier than a lighter vehicle in mph
     most: float
 
 
@@ -54,7 +54,7 @@ LIGHT_BELOW, CAR_FROM = 60.0, 150.0  # V of the battery
 def with_speed_unit(
     columns: Mapping[str, Column], cells: Mapping[str, Signal]
 ) -> dict[str, Column]:
-    """The columns, speed and odometer with a unit."""
+    """The columns, with units of speed and odometer."""
     decided = dict(columns)
     speed, odometer = decided["speed"], decided.get("odometer")
     if not speed.has_unit:
@@ -82,7 +82,7 @@ def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, S
         if not road > 0
         or any(abs(np.log(road * length / factor)) < SAME_ROAD for length in LENGTHS.values())
     } or set(SPEEDS)
-    possible = (possible - _too_fast(signal)) or set(SPEEDS)  # a unit that is none of these
+    possible = (possible - _too_fast(signal)) or set(SPEEDS)  # if impossible in each, any unit
     if len(possible) == 1:
         why = "by the odometer" if road > 0 else "by its values"
         return speed.in_unit(possible.pop(), why)
@@ -105,7 +105,7 @@ def _too_fast(signal: Signal) -> set[str]:
 def _by_mass(
     possible: set[str], columns: Mapping[str, Column], cells: Mapping[str, Signal]
 ) -> tuple[str, str, set[str]] | None:
-    """Unit in which the mass is the likeliest, why, and those in which it is possible."""
+    """Unit with the likeliest mass, the reason, and all units with a possible mass."""
     of_battery = columns.keys() & {"voltage", "current", "power"}
     signals = {name: columns[name].in_si(cells[name]) for name in of_battery}
     power = battery_power(signals)
@@ -124,7 +124,7 @@ def _by_mass(
 
 
 def _class_of(voltage: Signal | None) -> Masses:
-    """The class of vehicles that has such a battery."""
+    """The class of vehicles with such a battery."""
     if voltage is None or not voltage.known.size:
         return CAR
     middle = float(np.median(voltage.known))
@@ -142,7 +142,7 @@ def _usual(possible: set[str], signal: Signal) -> tuple[str, str, set[str]]:
 
 
 def _odometer(odometer: Column, speed: Column, cells: Mapping[str, Signal]) -> Column:
-    """The odometer in the unit by which it goes as far as the speed does."""
+    """The odometer in the unit in which its distance agrees with the speed."""
     road = road_of_odometer(cells)
     text = _nearest(speed.factor / road if road > 0 else np.nan, LENGTHS)
     if text is None:
@@ -152,7 +152,7 @@ def _odometer(odometer: Column, speed: Column, cells: Mapping[str, Signal]) -> C
 
 
 def _nearest(road: float, factors: Mapping[str, float]) -> str | None:
-    """Unit whose factor this is, about; None without one."""
+    """Unit with approximately this factor; None without one."""
     if not road > 0:
         return None
     text = min(factors, key=lambda unit: abs(np.log(factors[unit] / road)))
@@ -160,7 +160,7 @@ def _nearest(road: float, factors: Mapping[str, float]) -> str | None:
 
 
 def road_of_odometer(cells: Mapping[str, Signal]) -> float:
-    """The odometer's way over the speed's, or NaN; a low quantile, as GPS may be lost."""
+    """Ratio of the odometer's distance to the speed's, or NaN; low quantile, as GPS may fail."""
     if "odometer" not in cells:
         return np.nan
     time, value = cells["odometer"].points()
@@ -175,7 +175,7 @@ def road_of_odometer(cells: Mapping[str, Signal]) -> float:
 
 
 def _road_of_places(cells: Mapping[str, Signal]) -> float:
-    """Way between positions, m, over the speed's, or NaN; a high quantile, as roads bend."""
+    """Distance between positions, m, over the speed's, or NaN; high quantile, as roads bend."""
     if not cells.keys() >= set(PLACES) or cells["speed"].points()[0].size < LEAST_EVENTS:
         return np.nan
     times, far = steps_of_places(cells, SEGMENT)

@@ -1,4 +1,4 @@
-"""Joins numbers that their own commas split, where only one way fits: `0,00,349,84`, `1,000.0`."""
+"""Joins numbers split at their commas, if only one way fits: `0,00,349,84`, `1,000.0`."""
 
 from __future__ import annotations
 
@@ -15,47 +15,47 @@ from evpinn_ros.logs.batch import Row
 from evpinn_ros.logs.numbers import is_missing
 from evpinn_ros.logs.survey import AnotherHeaderError, Head, Table, data_rows, until_broken
 
-MOST_LAYOUTS = 5000  # ways to join that are tried
-TRIED_ROWS = 500  # of one width
-LEAST_SHARE = 0.02  # of the rows that are too wide: fewer are torn
+MOST_LAYOUTS = 5000  # combinations of columns that are tried
+TRIED_ROWS = 500  # rows of one width
+LEAST_SHARE = 0.02  # share of rows that are too wide; fewer are torn
 LEAST_ROWS = 3
 
-MOST_GROUPS, MOST_WAYS = 6, 8  # in a row, and ways to join it, that are looked at
+MOST_GROUPS, MOST_WAYS = 6, 8  # in a row, and ways to join it, that are examined
 
 _WHOLE = re.compile(r"[+-]?(0|[1-9]\d*)")
-# 05 is the decimals of a number, not a number; and 3.2 has no decimal comma.
+# 05 can be decimals but is no number, and 3.2 has no decimal comma.
 _NO_NUMBER = re.compile(r"[+-]?(0\d+|\d+\.\d*)")
 _POINT = re.compile(r"[+-]?\d+\.\d+")
-_CLOCK = re.compile(r".*\d:\d\d")  # whose seconds may have decimals
+_CLOCK = re.compile(r".*\d:\d\d")  # a time, whose seconds may have decimals
 _GROUP, _LAST_GROUP = re.compile(r"\d{3}"), re.compile(r"\d{3}(\.\d*)?")
 _LEAD = re.compile(r"[+-]?[1-9]\d{0,2}")
 
 
 class _Way(NamedTuple):
     cells: list[str]
-    columns: frozenset[int]  # those that were split
+    columns: frozenset[int]  # columns that were split
 
 
 class JoinedTable:
-    """A table whose rows are as wide as its header, where they can be joined in one way."""
+    """A table whose rows are joined to the width of its header where only one way fits."""
 
-    apart: frozenset[int] = frozenset()  # widths of rows that are left as they are
+    apart: frozenset[int] = frozenset()  # widths of rows that stay unchanged
 
     def __init__(
         self, table: Table, head: Head, decimals: frozenset[int], thousands: frozenset[int] | None
     ) -> None:
-        """Join decimals, and thousands (None: maybe decimals), in columns at these places."""
+        """Join decimals, and thousands (None: maybe decimals), in the columns at these indices."""
         self._table, self._head = table, head
         self._decimals, self._thousands = decimals, thousands
         self._spoilt = 0
 
     @property
     def torn(self) -> int:
-        """Lines that are no row."""
+        """Number of lines that are no row."""
         return self._table.torn + self._spoilt
 
     def rows(self) -> Iterator[Row]:
-        """The rows, those that cannot be joined as they are."""
+        """The rows; those that cannot be joined stay unchanged."""
         self._spoilt, names = 0, self._head.written
         for number, row in self._table.rows():
             if number <= self._head.row:
@@ -74,7 +74,7 @@ class JoinedTable:
                 yield number, row
 
     def joined(self, row: list[str]) -> list[str] | None:
-        """A row as wide as the header; None where there is no way, or several."""
+        """A row as wide as the header; None if no way or several ways fit."""
         width = len(self._head.names)
         if self._decimals:
             return _with_decimals(row, self._decimals, width)
@@ -88,12 +88,12 @@ class JoinedTable:
         return ways[0].cells if len(ways) == 1 else None
 
     def last_row(self) -> list[str]:
-        """None: it may have to be joined."""
+        """Always empty: the last row may have to be joined."""
         return []
 
 
 def joined_table(table: Table, head: Head) -> Table:
-    """The table with split numbers joined; InputError if many rows fit in no one way."""
+    """The table with split numbers joined; InputError if many rows fit in no single way."""
     width = len(head.names)
     rows: dict[int, list[Row]] = {}
     counts: Counter[int] = Counter()
@@ -106,7 +106,7 @@ def joined_table(table: Table, head: Head) -> Table:
     wide = {size: same_width for size, same_width in sorted(rows.items()) if size > width}
     if any(
         layout_of(same_width[0][1]) for same_width in wide.values()
-    ):  # which has cells without a name
+    ):  # the header has cells without a name
         return table
     thousands: set[int] = set()
     for same_width in wide.values():
@@ -115,7 +115,7 @@ def joined_table(table: Table, head: Head) -> Table:
     written = (
         cell.strip() for same_width in rows.values() for _, row in same_width for cell in row
     )
-    has_points = any(map(_POINT.fullmatch, written))  # so that a comma stands between thousands
+    has_points = any(map(_POINT.fullmatch, written))  # then commas separate thousands
     commonest = max(counts, key=lambda size: counts[size])
     layouts = _decimal_layouts([row for _, row in wide.get(commonest, [])], width)
     decimals = frozenset(layouts[0] if len(layouts) == 1 else ())
@@ -152,7 +152,7 @@ def _decimal_layouts(rows: Sequence[list[str]], width: int) -> list[tuple[int, .
 
 
 def _fits(rows: Sequence[list[str]], columns: set[int], width: int) -> bool:
-    """True if these columns can be split in all rows, with as many decimals in each."""
+    """True if these columns can be split in all rows, with equal decimals in each."""
     digits: dict[int, int] = {}
     for row in rows:
         at = 0
@@ -186,7 +186,7 @@ def _with_decimals(row: list[str], columns: frozenset[int], width: int) -> list[
 
 
 def _ways(row: list[str], width: int) -> list[_Way]:
-    """The ways, `MOST_WAYS` at most, to join thousands so that a row has so many cells."""
+    """Up to `MOST_WAYS` ways to join thousands so that a row has `width` cells."""
     ways: list[_Way] = []
 
     def go_on(at: int, cells: list[str], columns: frozenset[int]) -> None:
@@ -214,7 +214,7 @@ def _ways(row: list[str], width: int) -> list[_Way]:
 
 
 def _continues(wide: Sequence[Row], exact: Sequence[Row]) -> bool:
-    """True if wide rows only have more cells at their end, as an updated app writes."""
+    """True if wide rows only have more cells at their end, as from an updated app."""
     if not exact or exact[0][0] > wide[0][0]:
         return False
     longer, rows = [row for _, row in wide], [row for _, row in exact]

@@ -1,8 +1,8 @@
-"""A look through a whole table before it is read: header, widths of rows, some cells.
+"""Surveys a whole table before it is read: header, widths of rows, some cells.
 
-A continued log of some apps has no header. A table with one value a row is read as a wide one: Car
-Scanner's "All in one" export is `SECONDS;PID;VALUE;UNITS;LATITUDE;LONGTITUDE`, seconds counted
-from midnight on, names in the phone's language (obd2_viewer, tests of `car_scanner.dart`).
+Continued logs of some apps have no header. A table with one value per row is read as a wide one:
+Car Scanner's "All in one" export is `SECONDS;PID;VALUE;UNITS;LATITUDE;LONGTITUDE`, with seconds
+since midnight and names in the phone's language (obd2_viewer, tests of `car_scanner.dart`).
 """
 
 from __future__ import annotations
@@ -28,40 +28,40 @@ from evpinn_ros.logs.text_table import TextTable
 with optional_imports():
     import polars as pl
 
-# The columns of a table with one value a row.
+# The columns of a table with one value per row.
 NAMES = (
     *("pid", "name", "signal", "parameter", "metric", "sensor", "channel", "item"),
-    *("variable", "_field"),  # of pandas' melt and of InfluxDB
+    *("variable", "_field"),  # of pandas' melt, and of InfluxDB
 )
 VALUES = ("value", "reading", "wert", "val", "_value")
 UNITS = ("units", "unit", "einheit")
 OTHER_SHEETS = "# sheets that are not read: "
-HEADER_WITHIN = 60  # rows
-LEAST_SHARE = 0.02  # of rows that are wider than the header: an app that was updated
-NARROW_SHARE = 0.05  # of narrower ones, which leave out empty cells at the end
-ROWS_THAT_TELL = 2000  # whether a table can be read at all
-MOST_CELLS = 500_000  # kept
-MOST_ROWS = 300_000  # looked at: eight hours at 10 Hz
+HEADER_WITHIN = 60  # first rows that may hold the header
+LEAST_SHARE = 0.02  # of rows wider than the header, which an updated app wrote
+NARROW_SHARE = 0.05  # of narrower rows, which omit empty cells at the end
+ROWS_THAT_TELL = 2000  # rows that show whether a table is readable
+MOST_CELLS = 500_000  # cells kept
+MOST_ROWS = 300_000  # rows examined: eight hours at 10 Hz
 
 MOST_SIGNALS = 10_000
 
 
 class AnotherHeaderError(InputError):
-    """Another header in the middle of a table has other columns."""
+    """A header in the middle of a table has other columns."""
 
 
 class Table(Protocol):
-    """Rows of cells, which can be gone through again."""
+    """Rows of cells that can be iterated again."""
 
     @property
     def torn(self) -> int:
-        """Lines that are no row; complete after `rows`."""
+        """Number of lines that are no row; complete after `rows`."""
 
     def rows(self) -> Iterator[Row]:
-        """Every row that is not blank, header and all; InputError where it breaks off."""
+        """Every row that is not blank, with the header; InputError where the file breaks off."""
 
     def last_row(self) -> list[str]:
-        """The cells of the last row, none where it is not known without reading all."""
+        """The cells of the last row; empty if unknown without reading the whole table."""
 
 
 @dataclass(slots=True)
@@ -69,16 +69,16 @@ class Head:
     """The header of a table."""
 
     names: list[str]  # of the columns
-    row: int  # its number; data begin below it
+    row: int  # its row number; data follow below
     comments: list[str] = field(default_factory=list)  # the lines before it
-    written: list[str] = field(default_factory=list)  # the names without the units of a row below
+    written: list[str] = field(default_factory=list)  # the names without units of a row below
 
     def __post_init__(self) -> None:
         self.written = self.written or self.names
 
 
 def find_head(table: Table) -> Head:
-    """The first row with names of ours, units below joined in, or a known app's; InputError."""
+    """The first row with our names, units from below joined in, or of a known app; InputError."""
     rows = list(islice(table.rows(), HEADER_WITHIN))
     if not rows:
         raise InputError("the file is empty")
@@ -106,7 +106,7 @@ def find_head(table: Table) -> Head:
 
 
 def _told_apart(names: Sequence[str]) -> list[str]:
-    """Names of columns, twins numbered so that `--column` can take each."""
+    """Names of columns; duplicates are numbered so that `--column` can select each."""
     seen: Counter[str] = Counter()
     told = []
     for name in names:
@@ -117,7 +117,7 @@ def _told_apart(names: Sequence[str]) -> list[str]:
 
 
 def long_form(head: Head) -> tuple[int, int, int | None] | None:
-    """The columns of names, values and units of a long table; None where it is none."""
+    """Indices of the names, values and units of a long table; None for other tables."""
     names = [name.strip().lower() for name in head.names]
 
     def place(words: Sequence[str]) -> int | None:
@@ -163,17 +163,17 @@ def _units_row(names: Sequence[str], row: Sequence[str]) -> list[str]:
 
 @dataclass
 class Survey:
-    """Survey of a table."""
+    """Result of a survey of a table."""
 
-    cells: dict[int, pl.Series]  # of each wanted column, in the order of the file, thinned evenly
-    widths: Counter[int]  # how many rows have so many cells
+    cells: dict[int, pl.Series]  # of each wanted column, in file order, evenly thinned
+    widths: Counter[int]  # number of rows by number of cells
     width: int  # of the header
-    stride: int = 1  # rows of the table from one whose cells are kept to the next
-    empty: frozenset[int] = frozenset()  # places of columns without a cell in the rows looked at
+    stride: int = 1  # rows of the table per kept row
+    empty: frozenset[int] = frozenset()  # indices of columns without a cell in the examined rows
 
     @cached_property
     def styles(self) -> dict[int, Style]:
-        """Number style of each wanted column; an undecided one takes that of the others."""
+        """Number style of each wanted column; an undecided column gets that of the others."""
         styles = {place: style_of(cells) for place, cells in self.cells.items()}
         given = Counter(style for style in styles.values() if style is not None)
         common = given.most_common(1)[0][0] if given else POINT
@@ -185,15 +185,15 @@ class Survey:
         return any(width > self.width for width in self.widths)
 
     def put_in_order(self, rows: NDArray[np.intp]) -> None:
-        """Let the rows that were kept follow each other like this, by their places."""
+        """Sort the kept rows by these indices."""
         self.cells = {place: column[rows] for place, column in self.cells.items()}
 
     def forget_cells(self) -> None:
-        """Keep their styles alone, while the table is read."""
+        """Keep only the number styles while the table is read."""
         self.cells = dict.fromkeys(self.styles, pl.Series(dtype=pl.String))
 
     def is_whole(self, width: int) -> bool:
-        """True if a row of so many cells is one of this table and not torn."""
+        """True if a row with this number of cells is not torn."""
         if width == self.width:
             return True
         least, share = (3, LEAST_SHARE) if width > self.width else (10, NARROW_SHARE)
@@ -207,7 +207,7 @@ def look_through(
     early: Callable[[Survey], object],
     limit: int = MOST_ROWS,
 ) -> Survey:
-    """Cells of the wanted columns, every k-th row; `early` may raise, to stop a bomb."""
+    """Cells of the wanted columns in every k-th row; `early` may raise, to stop a bomb."""
     widths: Counter[int] = Counter()
     kept = [pl.Series(dtype=pl.String) for _ in wanted]
     most = max(1000, MOST_CELLS // max(1, len(wanted)))
@@ -238,7 +238,7 @@ Broken = TypeVar("Broken", Row, Batch)
 
 
 def until_broken(parts: Iterator[Broken]) -> Iterator[Broken]:
-    """The rows, or batches, up to where the file breaks off, which is reported on reading."""
+    """The rows, or batches, up to where the file breaks off; reading reports that later."""
     try:
         yield from parts
     except AnotherHeaderError:
@@ -258,7 +258,7 @@ def data_batches(table: Table, head: Head) -> Iterator[Batch]:
 
 
 def data_rows(table: Table, head: Head) -> Iterator[Row]:
-    """The rows below the header, without comments and further headers."""
+    """The rows below the header, without comments and repeated headers."""
     return _Below(head).rows(table.rows())
 
 
@@ -267,11 +267,11 @@ class _Below:
 
     def __init__(self, head: Head) -> None:
         self._head, self._names = head, frozenset(head.written)
-        # Of the header's columns, below another header with another order.
+        # Order of the header's columns below another header.
         self._places: list[int | None] | None = None
 
     def are_as_the_first(self, batch: Batch) -> bool:
-        """True if rows are no headers, and have the columns of the first one and no more."""
+        """True if rows are no headers, and have just the columns of the first header."""
         if self._places is not None or batch.lines[0] <= self._head.row:
             return False
         beyond = batch.columns[max(len(self._head.names), 1) :]
@@ -291,25 +291,25 @@ class _Below:
             if self._places is not None:
                 row = [row[at] if at is not None and at < len(row) else "" for at in self._places]
             elif len(row) > width and not any(row[width:]):
-                row = row[:width]  # a separator stands at the end of each line
+                row = row[:width]  # each line ends with a separator
             yield number, row
 
 
-_NO_NAME = frozenset(" 0123456789+-.")  # what a cell of a number or a time begins with
+_NO_NAME = frozenset(" 0123456789+-.")  # first characters of a number or a time
 
 
 def _is_header(row: Sequence[str], head: Head) -> bool:
-    """True if an app that was restarted, or another one, wrote a header here."""
+    """True if an app wrote another header here, after a restart for example."""
     names = {cell.strip().strip("\ufeff") for cell in row}
     if len(names.intersection(head.written)) >= min(2, len(head.written)):
         return True
     if any(map(str.isdigit, row[0])) or long_form(head) is not None:
-        return False  # in a long one names stand in each row
+        return False  # in a long table each row contains names
     return names_some(row)
 
 
 def _places_below(row: Sequence[str], head: Head, number: int) -> list[int | None] | None:
-    """Places of the first header's columns below another; None if the same; InputError."""
+    """Indices of the first header's columns below another; None if the same; InputError."""
     names = [cell.strip().strip("\ufeff") for cell in row]
     if names == head.written[: len(names)] or names[: len(head.written)] == head.written:
         return None
@@ -322,27 +322,27 @@ def _places_below(row: Sequence[str], head: Head, number: int) -> list[int | Non
 
 
 class LongTable:
-    """A long table as a wide one, with the columns that may be of use; one value a row."""
+    """A long table as a wide one with its useful columns; one value per row."""
 
     def __init__(self, table: Table, head: Head, places: tuple[int, int, int | None]) -> None:
-        """Find all signals in one pass; `places` are of the columns of names, values and units."""
+        """Find all signals in one pass; `places` index the columns of names, values and units."""
         self._table, self._head = table, head
         self._name, self._value, self._unit = places
         self._last = max(place for place in places if place is not None)
         self._narrow = 0
         self._time = [i for i, name in enumerate(head.names) if score("time", name) > 0]
         self._columns: dict[tuple[str, str], int] = {}
-        self.others: list[str] = []  # names of signals that have no column
+        self.others: list[str] = []  # names of signals without a column
         self._names = [head.names[i] for i in self._time]
         self._find()
 
     @property
     def torn(self) -> int:
-        """Lines that are no row."""
+        """Number of lines that are no row."""
         return self._narrow + self._table.torn
 
     def rows(self) -> Iterator[Row]:
-        """The header, then a row for each value of a signal that has a column."""
+        """The header, then a row for each value of a signal with a column."""
         yield self._head.row, self._names
         width = len(self._names)
         self._narrow = 0
@@ -360,7 +360,7 @@ class LongTable:
             yield number, cells
 
     def last_row(self) -> list[str]:
-        """The times of the last row, none where the table does not show it."""
+        """The times of the last row; empty if the table does not show it."""
         row = self._table.last_row()
         return [row[time] for time in self._time if time < len(row)]
 

@@ -1,4 +1,4 @@
-"""A drive in a table: which column is what, and the readings of its rows."""
+"""A drive in a table: the meaning of its columns, and the readings of its rows."""
 
 from __future__ import annotations
 
@@ -84,9 +84,9 @@ with optional_imports():
 if TYPE_CHECKING:
     from evpinn_ros.logs.terrain import Terrain
 
-AT_ONCE = 16_384  # rows of a table that is not in order of time
+AT_ONCE = 16_384  # rows per block of a table that is not in time order
 DIGITS = re.compile(r"\d+")
-FEW_ROWS = 20_000  # looked at where all names are ours and nothing is guessed
+FEW_ROWS = 20_000  # rows examined if all names are ours, so that nothing is guessed
 
 Stamps = NDArray[np.int64]
 Numbers = dict[str, NDArray[np.float64]]
@@ -105,14 +105,14 @@ class TableDrive(Source):
         nominal_voltage: float,
         options: ReadOptions,
     ) -> None:
-        """Look through the table; InputError if it lacks a column, a unit or one car."""
+        """Examine the table; InputError if it lacks a column, a unit or a single car."""
         super().__init__(path)
         self._terrain = options.terrain
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
-        self._not_traction = ""  # why the voltage is not used
+        self._not_traction = ""  # why the voltage is unused
         self._standing = Standing(self.dropped)
-        # below the header that were read, and `used`, those that gave a reading; both complete
+        # rows below the header that were read, and `used`, those that gave a reading; complete
         # once the readings are exhausted
         self.rows = self.used = 0
         self.first_bad: str | None = None  # first unreadable cell, and the remedy
@@ -129,18 +129,18 @@ class TableDrive(Source):
             self._beside = power_beside(header, columns)
             self._units = unit_places(header)
             engines = (place for place, name in enumerate(header) if is_engine_speed(name))
-            self._engine = next(engines, None)  # its place, of a hybrid
+            self._engine = next(engines, None)  # index of its column, for a hybrid
             self._begin(columns, options)
         except InputError as error:
             text = str(error)
             raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
 
     def _begin(self, columns: list[Column], options: ReadOptions) -> None:
-        """Choose clock, units and signs by the cells of the columns."""
+        """Choose clock, units and signs from the cells of the columns."""
         header = self._head.names
         all_ours = all(not column.why and column.is_ours for column in columns)
         limit = FEW_ROWS if all_ours else MOST_ROWS
-        if self._long is not None:  # one signal may come after the other
+        if self._long is not None:  # signals may begin one after the other
             limit = sys.maxsize
         survey = self._look_through(columns, limit)
         if survey.is_wider and self._long is None:
@@ -173,19 +173,19 @@ class TableDrive(Source):
             self.ignored |= dict.fromkeys(self._long.others, NO_USE)
         self._level = self._looked_at_all and any(map(self._is_level, columns))
         self._start_ns, self.dated = self._start(clocks, stamps)
-        self._stamps = stamps  # of the rows that were kept
+        self._stamps = stamps  # of the kept rows
         survey.forget_cells()
 
     @property
     def seconds(self) -> float | None:
-        """Time from the first row to the last, s; None where only reading it tells."""
+        """Time from the first row to the last, s; None if only reading the table shows it."""
         clock, stamps = self.clock, self._stamps
         if not self._looked_at_all:
             ends_last = self.in_order and not clock.begins_anew
             last = self._table.last_row() if ends_last else []
             if max(clock.columns) >= len(last):
                 return None
-            # Of the file; what was kept is turned.
+            # In the order of the file: the kept rows are reversed.
             first = -1 if clock.order is Order.NEWEST_FIRST else 0
             stamps = np.append(
                 stamps[first], clock.stamps({at: [last[at]] for at in clock.columns})
@@ -196,7 +196,7 @@ class TableDrive(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for a person on how it was read; complete once exhausted."""
+        """Notes for a person on how the table was read; complete once exhausted."""
         notes = [*self.assumptions, *self._doubts, *self._contradictions]
         comments = self._head.comments
         notes += [text.lstrip("# ") for text in comments if text.startswith(OTHER_SHEETS)]
@@ -262,11 +262,11 @@ class TableDrive(Source):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on why its totals are not certain."""
+        """Sentences on why totals are uncertain."""
         return self._doubts
 
     def read(self) -> Iterator[Block]:
-        """Readings in order of time, as far as readable; InputError if there is none."""
+        """Readings in time order, up to any damage; InputError if there are none."""
         begun, self.problem = False, None
         try:
             for block in self._read():
@@ -282,7 +282,7 @@ class TableDrive(Source):
             raise InputError(self.first_bad or nothing)
 
     def _named_columns(self, options: ReadOptions, empty: Collection[int] = ()) -> list[Column]:
-        """The columns of `columns_by_name`; a drive's slopes only where they are asked for."""
+        """The columns of `columns_by_name`; a drive's slopes only if requested."""
         columns = columns_by_name(self._head.names, options.columns, empty)
         return [
             column
@@ -291,7 +291,7 @@ class TableDrive(Source):
         ]
 
     def _is_level(self, column: Column) -> bool:
-        """True of heights that never change, but for those of a receiver that may have no fix."""
+        """True for constant heights, except those of a receiver that may have no fix."""
         if column.quantity != "elevation" or not (column.is_ours or column.why == "as given"):
             return False
         heights = to_floats(self._survey.cells[column.place], self._survey.styles[column.place])
@@ -320,7 +320,7 @@ class TableDrive(Source):
         is_useless: Callable[[Survey, Column], bool],
         limit: int,
     ) -> tuple[list[Column], Survey]:
-        """The columns, others in place of useless guesses; the needed stay if none is better."""
+        """The columns, with useless guesses replaced; needed ones stay if nothing is better."""
         first, useless = (columns, survey), set(survey.empty)
         while places := {
             column.place
@@ -339,7 +339,7 @@ class TableDrive(Source):
         return columns, survey
 
     def _clocks(self, columns: Sequence[Column], survey: Survey) -> list[Clock]:
-        """The clocks of the table, the best first; InputError when no time can be read."""
+        """The clocks of the table, the best first; InputError if no time can be read."""
         days = days_of_name(self.path.name)
         clocks = clocks_of(columns, survey, days)
         if not clocks:
@@ -375,7 +375,7 @@ class TableDrive(Source):
             del self.dropped[reason]
 
     def _timed(self) -> Iterator[Timed]:
-        """Running times and numbers of whole rows; the error of a broken file comes last."""
+        """Continuous times and numbers of whole rows; the error of a broken file comes last."""
         broken: list[InputError] = []
         running = self.clock.running()
         places = self.clock.columns
@@ -390,7 +390,7 @@ class TableDrive(Source):
             raise broken[0]
 
     def _values(self, batch: Batch, stamps: Stamps) -> Numbers:
-        """SI values of the quantities that are used; cells without a time are counted."""
+        """SI values of the quantities in use; cells without a time are counted."""
         self._count_times(batch, stamps)
         if self._engine is not None:
             style = self._survey.styles[self._engine]
@@ -404,14 +404,14 @@ class TableDrive(Source):
         }
         if self._terrain is not None and values.keys() >= set(PLACES):
             heights = _heights(self._terrain, *(values[name] for name in PLACES))
-            recorded = values.get("elevation", heights)  # which stay where no tile knows better
+            recorded = values.get("elevation", heights)  # kept where no tile has a height
             values["elevation"] = np.where(np.isnan(heights), recorded, heights)
         elif self._level:
             values["grade"] = 0.0 * values["elevation"]
         return values
 
     def _until_broken(self, broken: list[InputError]) -> Iterator[Batch]:
-        """Rows that are whole; the error that ends the file goes to `broken`."""
+        """Whole rows; the error that ends the file is added to `broken`."""
         try:
             for batch in data_batches(self._table, self._head):
                 widths = batch.widths
@@ -506,7 +506,7 @@ class TableDrive(Source):
     def _signals(
         self, columns: Mapping[str, Column], times: NDArray[np.float64]
     ) -> dict[str, Signal]:
-        """What the rows that were looked at measured, in the file's units."""
+        """Signals of the examined rows, in the file's units."""
         signals = {name: self._signal(column, times) for name, column in columns.items()}
         self._in_bursts = come_in_bursts(signals)
         if self._in_bursts:
@@ -520,18 +520,18 @@ class TableDrive(Source):
         return Signal(times, np.where(np.abs(values) < MOST, values, math.nan))
 
     def _surveyed(self, place: int) -> NDArray[np.float64]:
-        """Numbers of a column in the rows that were looked at."""
+        """Numbers of a column in the examined rows."""
         return to_floats(self._survey.cells[place], self._survey.styles[place])
 
     def _with_what_flows_back(self, column: Column) -> Column:
-        """The column; without what flows back where either has both signs."""
+        """The column; without that of returned energy if either column has both signs."""
         if column.back is None:
             return column
         is_pair = flows_one_way(self._surveyed(column.place), self._surveyed(column.back))
         return column if is_pair else replace(column, back=None)
 
     def _with_unit_beside(self, column: Column) -> Column:
-        """The column in the unit that another one names; InputError if that changes."""
+        """The column in the unit that another column names; InputError if that unit changes."""
         place = self._units.get(column.place)
         if place is None or column.has_unit:
             return column
@@ -554,7 +554,7 @@ class TableDrive(Source):
         if dated := start_by_date(clock, others, self._survey):
             self.zoned = dated[1].zoned
             return dated[0], "log"
-        # A time of day, or seconds since midnight as Car Scanner's long form has them.
+        # A time of day, or seconds since midnight as in Car Scanner's long form.
         day = day_of_name(self.path.name, first, certain=clock.kind == "time of day")
         if day is not None:
             return day, "name"
@@ -565,12 +565,12 @@ class TableDrive(Source):
 
 
 def _is_numbered_like(name: str, other: str) -> bool:
-    """True if two names differ in a number alone, as those of two packs do."""
+    """True if two names differ only in a number, as for two packs."""
     return name != other and DIGITS.sub("0", name) == DIGITS.sub("0", other)
 
 
 def _is_silent(survey: Survey, column: Column) -> bool:
-    """True if the cells of a quantity that moves in every drive hold one number."""
+    """True if a quantity that changes in every drive is constant."""
     if column.quantity not in ("speed", "current", "power"):
         return False
     values = to_floats(survey.cells[column.place], survey.styles[column.place])
@@ -581,7 +581,7 @@ def _is_silent(survey: Survey, column: Column) -> bool:
 def _heights(
     terrain: Terrain, latitude: NDArray[np.float64], longitude: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Heights of the ground where the place is new, m; of a place in two rows at the second."""
+    """Heights of the ground, m, shape (n,), where the position is new."""
     new = np.isfinite(latitude) | np.isfinite(longitude)
     place = [last_known(degrees)[new] for degrees in (latitude, longitude)]
     heights = np.full(latitude.shape, np.nan)
@@ -590,11 +590,11 @@ def _heights(
 
 
 def _oldest_first(parts: Iterator[Timed], order: Order) -> Iterator[Timed]:
-    """Parts in order of time; in any other order all numbers are held, though no text."""
+    """Parts in time order; unless the order is known, all numbers are kept, but no text."""
     if order is Order.OLDEST_FIRST:
         yield from parts
         return
-    if order is Order.NEWEST_FIRST:  # times of a day may begin anew, so they are not sorted
+    if order is Order.NEWEST_FIRST:  # times of a day may restart, so they are not sorted
         for stamps, values in reversed(list(parts)):
             yield stamps[::-1], {name: numbers[::-1] for name, numbers in values.items()}
         return

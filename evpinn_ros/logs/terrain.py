@@ -1,8 +1,8 @@
-"""Heights of the ground by place, from tiles that the user has: SRTM's, or GeoTIFF.
+"""Heights of the ground by position, from tiles of the user: SRTM or GeoTIFF.
 
-`N48E011.hgt` holds a degree by a degree as big-endian 16-bit metres, rows from north to south,
-edges shared: 1201 x 1201 of three arc seconds, 3601 x 3601 of one ("SRTM Topography", USGS). GDAL
-reads a GeoTIFF apart.
+`N48E011.hgt` holds one by one degree as big-endian 16-bit metres, rows from north to south, with
+shared edges: 1201 x 1201 at three arc seconds, 3601 x 3601 at one ("SRTM Topography", USGS). GDAL
+reads GeoTIFF in another process.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import AltitudeReading
 from evpinn_ros.logs.signal import FloatArray
 
-with suppress(ImportError):  # at once, for the process is limited from what it took until then
+with suppress(ImportError):  # imported first, since limits of the process count from then on
     import rasterio  # noqa: F401
 
 _NAME = re.compile(r"([NS])(\d\d)([EW])(\d\d\d)\.hgt(?:\.gz)?", re.IGNORECASE)
 _GEOTIFF = (".tif", ".tiff")
 TILES_KEPT = 16
-_SIDES = (1201, 3601)  # samples
+_SIDES = (1201, 3601)  # samples per side
 _VOID = -32768
-MOST_HEIGHTS = 200_000_000  # of a GeoTIFF: 14 000 x 14 000
+MOST_HEIGHTS = 200_000_000  # samples of a GeoTIFF: 14 000 x 14 000
 
 
 class Terrain:
@@ -58,11 +58,11 @@ class Terrain:
         if tiffs:
             with optional_imports():
                 import rasterio  # noqa: F401
-        with TemporaryDirectory() as kept:  # the grids are mapped, and need no name
+        with TemporaryDirectory() as kept:  # the grids are mapped, so their files may be deleted
             self._grids = [read_geotiff(path, Path(kept)) for path in tiffs]
 
     def heights(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
-        """Heights at n places in degrees, m, NaN without a tile; InputError if damaged."""
+        """Heights at n positions in degrees, m, NaN without a tile; InputError if damaged."""
         heights = np.full(latitude.shape, np.nan)
         placed = np.isfinite(latitude) & np.isfinite(longitude)
         corners = np.floor(np.column_stack((latitude, longitude))[placed]).astype(int)
@@ -78,7 +78,7 @@ class Terrain:
         return heights
 
     def over(self, block: Block) -> Block:
-        """The block with altitudes of the ground at their place, where that is known."""
+        """The block with altitudes of the ground at its positions, where known."""
         rows = block.of_kind(AltitudeReading)
         if not len(rows.order):
             return block
@@ -89,15 +89,15 @@ class Terrain:
 
 
 class HeightGrid(NamedTuple):
-    """Heights at the crossings of parallels and meridians."""
+    """Heights on a grid of latitudes and longitudes."""
 
-    heights: NDArray[np.generic]  # m, from north to south and west to east; NaN or `_VOID` unknown
+    heights: NDArray[np.generic]  # m, north to south and west to east; NaN or `_VOID` if unknown
     north: float  # latitude of the first row, degrees
     west: float  # longitude of the first column, degrees
-    steps: tuple[float, float]  # between rows and between columns, degrees, both above zero
+    steps: tuple[float, float]  # between rows and between columns, degrees, both positive
 
     def at(self, latitude: FloatArray, longitude: FloatArray) -> FloatArray:
-        """Bilinear heights at n places, m, or NaN; cells reach half a step beyond samples."""
+        """Bilinear heights at n positions, m, or NaN; cells reach half a step beyond samples."""
         heights = np.full(latitude.shape, np.nan)
         rows, columns = self.heights.shape
         row, column = (
@@ -118,7 +118,7 @@ class HeightGrid(NamedTuple):
 
 
 def read_hgt(path: Path, south: int, west: int) -> HeightGrid:
-    """Heights of SRTM's tile of this corner, degrees; InputError if it is none."""
+    """Heights of the SRTM tile with this corner, degrees; InputError if it is invalid."""
     with as_input_error(path, EOFError), open_unpacked(path) as file:
         data = file.read(2 * max(_SIDES) ** 2 + 1)
     side = math.isqrt(len(data) // 2)
@@ -130,7 +130,7 @@ def read_hgt(path: Path, south: int, west: int) -> HeightGrid:
 
 
 def read_geotiff(path: Path, folder: Path) -> HeightGrid:
-    """Heights of a GeoTIFF, mapped from a file that is made in the folder; InputError."""
+    """Heights of a GeoTIFF, mapped from a file that is written to the folder; InputError."""
     heights, place = folder / f"{path.name}.npy", folder / f"{path.name}.place.npy"
     if failed := run_apart(f"{__name__}:write_grid", path, heights):
         raise InputError(f"{path}: {failed}")
@@ -140,7 +140,7 @@ def read_geotiff(path: Path, folder: Path) -> HeightGrid:
 
 
 def write_grid(path: Path, out: Path) -> None:
-    """Write the first band of a GeoTIFF as heights by latitude and longitude, and their place."""
+    """Write the first band of a GeoTIFF as heights by latitude and longitude, and its place."""
     from rasterio import open as open_raster
     from rasterio.enums import Resampling
     from rasterio.vrt import WarpedVRT
@@ -153,7 +153,7 @@ def write_grid(path: Path, out: Path) -> None:
             if grid.width * grid.height > MOST_HEIGHTS or min(grid.shape) < 2:
                 raise InputError(f"{grid.width} x {grid.height} heights")
             heights = grid.read(1)
-            corner = grid.transform  # of the first cell, whose height is that of its middle
+            corner = grid.transform  # of the first cell; its height is that of its centre
     place = corner.f + corner.e / 2, corner.c + corner.a / 2, -corner.e, corner.a
     np.save(out, heights)
     np.save(out.with_suffix(".place.npy"), np.array(place))

@@ -1,4 +1,4 @@
-"""Tables of text: CSV and its kin in any encoding, with any separator, plain or `.gz`."""
+"""Tables of text: CSV and variants in any encoding, with any separator, plain or `.gz`."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from evpinn_ros.logs.batch import Batch, Row, batches_of
 with optional_imports():
     import polars as pl
 
-LONG_LINE, LONGEST_CELL = 2000, 200  # characters, of a cell in a long line those that are kept
-MOST_BLANK = 100_000  # lines in a row
+LONG_LINE, LONGEST_CELL = 2000, 200  # characters; in a long line, cells are cut at the second
+MOST_BLANK = 100_000  # consecutive lines
 SEPARATORS = ",;\t|"
-LOOKED_AT = 20  # lines that tell the separator
+LOOKED_AT = 20  # lines examined for the separator
 LOOKED_AT_BYTES = 4096
-MOSTLY_PAIRS = 0.8  # of the bytes that are not ASCII
-END = 1 << 16  # bytes that hold the last line
-BLANK = "\r\n\t ,;"  # what a row of nothing is made of
+MOSTLY_PAIRS = 0.8  # share of the non-ASCII bytes
+END = 1 << 16  # bytes that contain the last line
+BLANK = "\r\n\t ,;"  # characters of a row without content
 
 READ_ERRORS = (OSError, EOFError, zlib.error, ValueError, csv.Error)  # ValueError: no text
 
-FIRST, CHUNK = 1 << 14, 1 << 20  # bytes read at once, at the header and below
-DIGITS = np.isin(np.arange(256), list(b"0123456789+-."))  # bytes that a row of data begins with
+FIRST, CHUNK = 1 << 14, 1 << 20  # bytes read at once, at the header and below it
+DIGITS = np.isin(np.arange(256), list(b"0123456789+-."))  # first bytes of a row of data
 
 codecs.register_error(
     "evpinn-cp1252",
-    # Below an ASCII header a degree sign of Windows may come at any time.
+    # Below an ASCII header a Windows degree sign may occur at any time.
     lambda error: (
         (error.object[error.start : error.end].decode("cp1252", "replace"), error.end)
         if isinstance(error, UnicodeDecodeError)
@@ -53,46 +53,46 @@ codecs.register_error(
 
 
 class TextTable:
-    """A text file with a row a line.
+    """A text file with one row per line.
 
     Attributes:
-        path: of it.
-        torn: lines that are no row, for a quote in them is not closed; complete after reading.
-        broken: why the file ends early; empty or None where it does not.
+        path: of the file.
+        torn: number of lines that are no row, with an open quote; complete after reading.
+        broken: why the file ends early; empty or None if it does not.
     """
 
     broken: str | None = ""
 
     def __init__(self, path: Path, content: Path | None = None, separator: str = "") -> None:
-        """Find the separator, if it is not given.
+        """Find the separator, unless given.
 
-        The path is for messages; `content` is the file that holds the text, if it is another.
+        The path is for messages; `content` is the file with the text, if different.
 
         Raises:
-            InputError: it cannot be read.
+            InputError: the file cannot be read.
         """
         self.path, self._content = path, content or path
         self.torn = self._line = 0
-        self._useless = 0  # lines since the last row
+        self._useless = 0  # consecutive lines without a row
         self._encoding = ""
-        self._is_long = False  # the line that is read
+        self._is_long = False  # True if the current line is long
         self.separator = separator or self._separator()
 
     def rows(self) -> Iterator[Row]:
-        """Every row that is not blank, comments and all.
+        """Every row that is not blank, including comments.
 
         Raises:
-            InputError: it cannot be read further.
+            InputError: the rest of the file cannot be read.
         """
         with self._texts() as texts:
             for text in texts:
                 yield from self._rows_of(text)
 
     def batches(self) -> Iterator[Batch]:
-        """`rows` in batches: by column where lines begin with a number, unquoted and equally wide.
+        """`rows` in batches: by column if lines begin with a number, unquoted and equally wide.
 
         Raises:
-            InputError: it cannot be read further.
+            InputError: the rest of the file cannot be read.
         """
         with self._texts() as texts:
             for text in texts:
@@ -106,7 +106,7 @@ class TextTable:
 
     @contextmanager
     def _texts(self) -> Iterator[Iterator[str]]:
-        """The text of the file; an error says in which line it is."""
+        """The text of the file; errors name their line."""
         self.torn = self._line = self._useless = 0
         try:
             with self._open() as file:
@@ -126,7 +126,7 @@ class TextTable:
             yield self._line, row
 
     def _columns(self, text: str) -> list[pl.Series] | None:
-        """Text of the columns; None where not all lines are rows of as many unquoted cells."""
+        """Text of the columns; None if not all lines have the same number of unquoted cells."""
         if '"' in text:
             return None
         data = text.encode("utf-8", "replace")
@@ -146,7 +146,7 @@ class TextTable:
         return list(frame.fill_null("").get_columns())
 
     def last_row(self) -> list[str]:
-        """The cells of the last line, none where the file does not show its end."""
+        """The cells of the last line; empty if the file does not show its end."""
         if self.path.suffix.lower() == ".gz":
             return []
         with suppress(*READ_ERRORS), self._open() as file:
@@ -156,7 +156,7 @@ class TextTable:
         return []
 
     def _separator(self) -> str:
-        """Separator of a line `sep=;`, or the sign that most lines have in the same number."""
+        """Separator in a line `sep=;`, or the character most often equally frequent in lines."""
         with as_input_error(self.path, *READ_ERRORS), self._open() as file:
             lines = next(self._chunks(file), "").split("\n", LOOKED_AT)[:LOOKED_AT]
         lines = [line for line in lines if line.strip()]
@@ -178,10 +178,10 @@ class TextTable:
         return open_unpacked(self._content)
 
     def _whole_lines(self, text: str) -> Iterator[str]:
-        """The lines that hold a row, counted.
+        """The lines that contain a row, counted.
 
         Raises:
-            ValueError: a line without an end, or nothing but useless ones.
+            ValueError: an endless line, or too many lines without a row.
         """
         for line in text.removesuffix("\n").split("\n"):
             if len(line) > LONGEST_LINE:
@@ -190,7 +190,7 @@ class TextTable:
             quote = '"' in line
             if not line.strip(BLANK):
                 self._useless += 1
-            # No app writes a cell of two lines; an odd quote would swallow all that follows.
+            # No app writes a cell of two lines; an unpaired quote would swallow later lines.
             elif quote and line.count('"') % 2:
                 self._useless, self.torn = self._useless + 1, self.torn + 1
             elif self._line > 1 or not _says_separator(line):
@@ -202,7 +202,7 @@ class TextTable:
                 raise ValueError(f"more than {MOST_BLANK} lines of {what}")
 
     def _chunks(self, file: Any) -> Iterator[str]:
-        """The text of the file in whole lines; what comes before a damage is not lost."""
+        """The text of the file in whole lines; text before damage is kept."""
         self._encoding = self._encoding or _encoding(file.peek(LOOKED_AT_BYTES)[:LOOKED_AT_BYTES])
         errors = "evpinn-cp1252" if self._encoding == "utf-8-sig" else "replace"
         decode = codecs.getincrementaldecoder(self._encoding)(errors)
@@ -218,7 +218,7 @@ class TextTable:
             is_last = error is not None or not data
             text = left + decoder.decode(bytes(data), final=is_last)
             whole, newline, left = ("", "", "") if is_last else text.rpartition("\n")
-            # Zeros, which a loss of power leaves, count in the length of a line that is left.
+            # Zeros from a power loss count in the length of a line that remains.
             if text := (text if is_last else whole + newline).replace("\0", ""):
                 yield text
             if error is not None:
@@ -227,38 +227,38 @@ class TextTable:
                 return
             if len(left) > LONGEST_LINE:
                 if not left.strip("\0"):
-                    raise OSError("zeros without an end")  # what comes before them is read
+                    raise OSError("zeros without an end")  # text before them is read
                 raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
             size = CHUNK
 
 
 class ConvertedTable(TextTable):
-    """A table that another library converted to text, in a process of its own."""
+    """A table that another library converted to text in a process of its own."""
 
     def __init__(self, path: Path, function: str) -> None:
-        """Have it written by a function `MODULE:NAME` of two paths.
+        """Convert the file by `function`, named `MODULE:NAME`, which takes two paths.
 
         Raises:
-            InputError: it cannot be read.
+            InputError: the file cannot be read.
         """
         with TemporaryDirectory() as folder:
             content = Path(folder, "table.csv")
             self.broken = run_apart(function, path, content)
             if not content.exists() or (self.broken and content.stat().st_size == 0):
                 raise InputError(f"{path}: {self.broken or 'no table in it'}")
-            with open_file(content) as file:  # as long as it is open, it needs no name
+            with open_file(content) as file:  # an open file stays readable after its deletion
                 kept = os.dup(file.fileno())
         weakref.finalize(self, os.close, kept)
         super().__init__(path, Path(f"/proc/self/fd/{kept}"), separator=",")
 
 
 def _says_separator(line: str) -> bool:
-    """True for the line that tells Excel the separator: `sep=;`."""
+    """True for a line such as `sep=;`, which tells Excel the separator."""
     return line.lstrip('\ufeff"').lower().startswith("sep=")
 
 
 def _encoding(start: bytes) -> str:
-    """UTF-8 unless a mark, the zeros of UTF-16 or the pairs of Chinese text say otherwise."""
+    """UTF-8, unless a byte order mark, UTF-16 zeros or pairs of Chinese text indicate another."""
     if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     even, odd = start[0::2].count(0), start[1::2].count(0)
@@ -268,9 +268,9 @@ def _encoding(start: bytes) -> str:
 
 
 def _is_chinese(start: bytes) -> bool:
-    """True if most that is not ASCII are common characters of GB 2312, and it is no UTF-8.
+    """True if most non-ASCII bytes are common characters of GB 2312, and it is no UTF-8.
 
-    Each is a pair of high bytes. In European code pages such bytes stand alone, but for Cyrillic,
+    Each is a pair of high bytes. In European code pages high bytes are single, except in Cyrillic,
     whose small letters lie above the first bytes of common characters.
     """
     with suppress(UnicodeDecodeError):

@@ -1,9 +1,9 @@
-"""Joins logs torn into several files, and splits those of a day into trips.
+"""Joins logs split into several files, and splits the logs of a day into trips.
 
-A file that begins within `LONGEST_PAUSE` of the end of another continues it. A trip ends where no
-speed comes or the car stands for so long, and where it charges: stands for `LEAST_CHARGING` and
-takes over `CHARGING_POWER`. Drives shorter than `LEAST_DISTANCE` that follow each other make one
-trip; where they are shorter together, they belong to the trip before or after them.
+A file that begins within `LONGEST_PAUSE` of the end of another continues it. A trip ends if speed
+is missing or the car stands for that time, and at charging: a stop of `LEAST_CHARGING` that takes
+over `CHARGING_POWER`. Consecutive drives shorter than `LEAST_DISTANCE` form one trip; if their sum
+is shorter too, they belong to the trip before or after them.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from evpinn_ros.logs.source import STRAGGLING_NS, Source
 LONGEST_PAUSE = 600.0  # s
 LEAST_CHARGING, CHARGING_POWER = 120.0, 300.0  # s, W
 STANDING = 0.3  # m/s
-EDGE = 30.0  # s that the car stands before and after a trip and that belong to it
+EDGE = 30.0  # s of standing before and after a trip that belong to it
 LEAST_DISTANCE = 500.0  # m; shorter ones are manoeuvres
-MANOEUVRE = 50.0  # m, of a log without a drive
+MANOEUVRE = 50.0  # m, for a log without a longer drive
 
 
 class Span(NamedTuple):
-    """Begin and end of a drive between two stops, ns, and its length, m."""
+    """Start and end of a drive between two stops, ns, and its length, m."""
 
     begin_ns: float
     end_ns: float
@@ -57,7 +57,7 @@ class Trip(NamedTuple):
 
     @property
     def note(self) -> str:
-        """Sentence for a person on short drives that are one trip; empty if it is one drive."""
+        """Sentence on short drives that form one trip; empty for a single drive."""
         if max(span.distance for span in self.spans) >= LEAST_DISTANCE:
             return ""
         return (
@@ -67,18 +67,18 @@ class Trip(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """Time that runs on where the stamps of a log go back: a clock was set, or counts anew.
+    """Continuous time where the stamps of a log go back: a clock was set, or restarted.
 
     Attributes:
-        begins: places of the readings before which stamps go back, shape (n,).
-        offsets: ns to add to stamps before the first of them, and from each on, shape (n + 1,).
+        begins: indices of the readings before which stamps go back, shape (n,).
+        offsets: ns to add to stamps before the first of these, and after each, shape (n + 1,).
     """
 
     begins: np.ndarray
     offsets: np.ndarray
 
     def moments(self, block: Block, first: int) -> np.ndarray:
-        """Stamps that run on, ns, of a block whose first reading has this place in the log."""
+        """Continuous stamps, ns, of a block; `first` is the index of its first reading."""
         parts = np.searchsorted(self.begins, first + np.arange(block.length), side="right")
         return np.asarray(block.stamps() + self.offsets[parts])
 
@@ -87,13 +87,13 @@ class Trips(NamedTuple):
     """Trips of a log, in order."""
 
     trips: tuple[Trip, ...]
-    axis: Axis  # of the times of their spans
-    charged: float = 0.0  # energy that the battery was charged with outside of them, J
-    distance: float = 0.0  # of all the log, m
+    axis: Axis  # time axis of their spans
+    charged: float = 0.0  # J charged into the battery between trips
+    distance: float = 0.0  # m, of the whole log
 
 
 class JoinedLog(Source):
-    """Files that an app wrote of one drive, one after another."""
+    """Files of one drive, in order."""
 
     def __init__(self, files: Sequence[Source]) -> None:
         super().__init__(files[0].path, files[0])
@@ -101,23 +101,23 @@ class JoinedLog(Source):
 
     @property
     def seconds(self) -> float | None:
-        """Length of all files together, without the pauses between them, s."""
+        """Total length of the files, without the pauses between them, s."""
         lengths = [file.seconds for file in self._files]
         return sum(filter(None, lengths)) if all(lengths) else None
 
     @property
     def problem(self) -> str | None:
-        """Unreadable parts of the files."""
+        """Damage of the files."""
         return "; ".join(file.problem for file in self._files if file.problem) or None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of all files, each once."""
+        """Notes on all files, each once."""
         return tuple(dict.fromkeys(note for file in self._files for note in file.notes))
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Doubts of all files, each once."""
+        """Doubts about all files, each once."""
         return tuple(dict.fromkeys(doubt for file in self._files for doubt in file.doubts))
 
     def read(self) -> Iterator[Block]:
@@ -130,7 +130,7 @@ class JoinedLog(Source):
 
 
 def joined(logs: Sequence[Source]) -> list[Source]:
-    """The logs, joined where both dates are known and the pause between them ends no trip."""
+    """The logs, joined if both dates are known and the pause between them ends no trip."""
     groups: list[list[Source]] = []
     end_ns = None
     for log in logs:
@@ -145,7 +145,7 @@ def joined(logs: Sequence[Source]) -> list[Source]:
 
 
 def _span(log: Source) -> tuple[int, int] | None:
-    """First and last stamp of a table whose day is known, ns; None of any other log."""
+    """First and last stamp of a table with a known day, ns; None for other logs."""
     seconds = log.seconds
     if not log.rules or not log.dated or seconds is None:
         return None
@@ -157,7 +157,7 @@ def _span(log: Source) -> tuple[int, int] | None:
 
 
 class TripSource(Source):
-    """One trip of a log that holds several."""
+    """One trip of a log with several."""
 
     def __init__(self, log: Source, number: int, trips: Trips) -> None:
         name = f"{log.path.name.partition('.')[0]}:{number}"
@@ -175,12 +175,12 @@ class TripSource(Source):
 
     @property
     def problem(self) -> str | None:
-        """Unreadable part of the log; it lies behind the last trip, which names it."""
+        """Damage of the log, which follows its last trip; only that trip reports it."""
         return self._log.problem if self._last else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on short drives; the last trip has those of the log, which then was read whole."""
+        """Notes on short drives; the last trip adds the log's, which is then fully read."""
         of_log = self._log.notes if self._last else ()
         return (self._trip.note, *of_log) if self._trip.note else of_log
 
@@ -190,7 +190,7 @@ class TripSource(Source):
         return self._log.doubts
 
     def read(self) -> Iterator[Block]:
-        """Readings of the trip in recorded order; what the log lost counts with its last trip."""
+        """Readings of the trip in recorded order; losses of the log count with its last trip."""
         until = math.inf if self._last else self._trip.spans[-1].end_ns + STRAGGLING_NS
         first = 0
         for block in self._log.blocks():
@@ -216,7 +216,7 @@ def split(
 ) -> tuple[Sequence[Source], float]:
     """The trips of a log (one if `whole`), and J charged between; InputError if only charged.
 
-    With `ahead` the log keeps what was read for its next `blocks`.
+    With `ahead`, the log keeps the blocks read so far for its next `blocks`.
     """
     trips = trips_of(log.read_ahead() if ahead else log.blocks())
     if trips.charged and trips.distance < MANOEUVRE:
@@ -229,7 +229,7 @@ def split(
 
 
 def trips_of(blocks: Iterable[Block]) -> Trips:
-    """Find the trips among readings in recorded order."""
+    """Find the trips in readings in recorded order."""
     whole = joined_blocks(list(blocks))
     axis = _axis_of(whole)
     moments = axis.moments(whole, 0)
@@ -246,7 +246,7 @@ def trips_of(blocks: Iterable[Block]) -> Trips:
     spans = []
     for (_, begin), (end, _) in pairwise(breaks):
         inside = (time >= begin) & (time <= end)
-        # A replay takes no lone speed after a pause: its stamp is in doubt.
+        # Replay drops a lone speed after a pause, as its stamp is uncertain.
         if inside.sum() > 1 and (fast[inside] >= STANDING).any():
             far = float(np.interp(end, time, way) - np.interp(begin, time, way))
             begin_ns, end_ns = (start_ns + seconds * NANOSECONDS for seconds in (begin, end))
@@ -255,7 +255,7 @@ def trips_of(blocks: Iterable[Block]) -> Trips:
 
 
 def _axis_of(whole: Block) -> Axis:
-    """The axis of a log, whose stamps go back where two speeds lie behind the two before them."""
+    """Time axis of a log; stamps go back where two speeds are before both previous ones."""
     order, stamps, _ = whole.of_kind(SpeedReading)
     before = np.minimum(stamps[:-1], np.append(stamps[:1], stamps)[:-2])
     following = np.maximum(stamps, np.append(stamps[1:], stamps[-1:]))[1:]
@@ -267,7 +267,7 @@ def _axis_of(whole: Block) -> Axis:
 def _breaks(
     time: np.ndarray, fast: np.ndarray, battery_time: np.ndarray, power: np.ndarray
 ) -> tuple[list[tuple[float, float]], float]:
-    """Times in which no trip is, s, and J that the battery was charged with in them."""
+    """Intervals without a trip, s, and J charged into the battery in them."""
     breaks, charged = [(-math.inf, -math.inf)], 0.0
     pauses = np.flatnonzero(np.diff(time) > LONGEST_PAUSE)
     stops = zip(time[pauses].tolist(), time[pauses + 1].tolist(), strict=True)
@@ -283,9 +283,9 @@ def _breaks(
 
 
 def _joined_spans(spans: Iterable[Span]) -> list[Trip]:
-    """Trips that hold all drives, each of `LEAST_DISTANCE` if any drives are so long together."""
+    """Trips of all drives, each of `LEAST_DISTANCE` if any drives together are that long."""
     trips: list[Trip] = []
-    waiting: tuple[Span, ...] = ()  # for a trip to belong to
+    waiting: tuple[Span, ...] = ()  # short drives, not assigned yet
     for is_short, group in groupby(spans, lambda span: span.distance < LEAST_DISTANCE):
         for drives in (tuple(group),) if is_short else ((span,) for span in group):
             if sum(span.distance for span in drives) >= LEAST_DISTANCE:
@@ -304,13 +304,13 @@ def _series(after_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _steps(time: np.ndarray) -> np.ndarray:
-    """Steps of time, none across a pause."""
+    """Steps of time, without pauses."""
     steps = np.diff(time)
     return np.where(steps > LONGEST_PAUSE, 0.0, steps)
 
 
 def stands(time: np.ndarray, speed: np.ndarray) -> Iterator[tuple[float, float]]:
-    """Times in which the car stands for `LEAST_CHARGING` or longer, none across a pause."""
+    """Intervals, s, in which the car stands for `LEAST_CHARGING` or longer, without a pause."""
     still = speed < STANDING
     ends = np.flatnonzero((still[1:] != still[:-1]) | (np.diff(time) > LONGEST_PAUSE))
     begins = np.concatenate(([0], ends + 1))
@@ -320,7 +320,7 @@ def stands(time: np.ndarray, speed: np.ndarray) -> Iterator[tuple[float, float]]
 
 
 def _charged(time: np.ndarray, power: np.ndarray, begin: float, end: float) -> float:
-    """Energy into the battery between two times where its power is known, J."""
+    """Energy into the battery between two times, where its power is known, J."""
     inside = (time >= begin) & (time <= end) & np.isfinite(power)
     if inside.sum() < 2:
         return 0.0

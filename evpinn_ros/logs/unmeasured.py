@@ -1,7 +1,7 @@
-"""Stretches in which nothing was measured while the car moves, though each row has its values.
+"""Stretches without measurements while the car moves, though each row has values.
 
-Where an adapter is lost, speed and battery stand still together. Where an exporter fills the hole,
-both lie on straight lines from the last row before it to the first one after it.
+If an adapter is lost, speed and battery freeze together. If an exporter fills the gap, both lie on
+straight lines from the last row before it to the first one after it.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 from evpinn_ros.logs.quantities import PLACES
 from evpinn_ros.logs.signal import LEAST_EVENTS, LONGEST_STEP, FloatArray, Signal
 
-LEAST_LOST = 15.0  # s: an even road under cruise control looks the same for less
+LEAST_LOST = 15.0  # s: an even road under cruise control looks the same for shorter times
 LEAST_REPEATS = 10  # readings
-ALONE = 2.0  # times that, speed or battery stand still without the other
-ALIVE = ("odometer", "elevation", "charge", *PLACES)  # which change while the car is measured
-MOST_LOST, USUALLY = 2, 0.5  # stretches, and readings that moves: a log that repeats all values
+ALONE = 2.0  # times that: speed or battery is frozen without the other
+ALIVE = ("odometer", "elevation", "charge", *PLACES)  # change while the car is measured
+MOST_LOST, USUALLY = 2, 0.5  # stretches, and share of moving readings: above, all repeats
 WINDOW, HOP = 10.0, 5.0  # s: `LEAST_LOST` holds a window that begins at some hop
-# Resolutions that both speed and battery go: with 9, a driven car's values made a line for 13 s.
+# Resolutions that speed and battery change by: with 9, real values made a line for 13 s.
 LEAST_STEPS = 20
-ROUNDED = 1.0  # resolutions off a fitted line: half of one by rounding, and that of the fit
+ROUNDED = 1.0  # resolutions off a fitted line: half by rounding, half by the fit
 FINEST = 1e-6  # of a value in SI units
 SHORTEST_STEP = 0.01  # s
 
@@ -40,13 +40,13 @@ class Stand(NamedTuple):
     value: float
 
     def holds(self, signal: Signal) -> Signal:
-        """The part of another signal that lies in it."""
+        """The part of another signal within the stretch."""
         inside = (signal.time >= self.begin) & (signal.time <= self.begin + self.seconds)
         return Signal(signal.time[inside], signal.value[inside])
 
 
 def standing_together(signals: Mapping[str, Signal]) -> list[Stand]:
-    """Stretches in which speed and battery stand still while the car moves, if that is unusual."""
+    """Stretches in which speed and battery freeze while the car moves, if that is unusual."""
     points = _speed_and_battery(signals)
     if not points:
         return []
@@ -71,7 +71,7 @@ def standing_together(signals: Mapping[str, Signal]) -> list[Stand]:
             )
             stand = Stand(firsts[0], lasts[0] - 1, begin, inside[-1] - begin, key[0])
             stands.setdefault(key, []).append(stand)
-    # Values that come back to the last digit are those of a car that is simulated.
+    # Values that recur to the last digit come from a simulated car.
     once = [alike[0] for alike in stands.values() if len(alike) == 1]
     lost = [
         stand
@@ -82,9 +82,9 @@ def standing_together(signals: Mapping[str, Signal]) -> list[Stand]:
 
 
 def straight_together(signals: Mapping[str, Signal]) -> list[Stand]:
-    """Stretches in which speed and battery change along straight lines, if that is unusual.
+    """Stretches in which speed and battery follow straight lines, if that is unusual.
 
-    A stretch ends before the row that is measured again.
+    A stretch ends before the first row that is measured again.
     """
     points = _speed_and_battery(signals)
     if not points:
@@ -105,7 +105,7 @@ def straight_together(signals: Mapping[str, Signal]) -> list[Stand]:
 
 
 def measured_on(signals: Mapping[str, Signal], stand: Stand) -> set[str]:
-    """Names of what a receiver or the car's counters went on to measure in a stretch."""
+    """Names of signals of a receiver or the car's counters that continue in a stretch."""
     begin, end = stand.begin, stand.begin + stand.seconds
     alive = {name: signals[name].points() for name in ALIVE if name in signals}
     return {
@@ -116,7 +116,7 @@ def measured_on(signals: Mapping[str, Signal], stand: Stand) -> set[str]:
 
 
 class Line(NamedTuple):
-    """A signal that may lie on a straight line: its points and the unit of its last digit."""
+    """A signal that may follow a straight line: its points and resolution."""
 
     time: FloatArray
     value: FloatArray
@@ -129,7 +129,7 @@ class Line(NamedTuple):
         return cls(time, value, float(min(apart[apart > FINEST], default=FINEST)))
 
     def holds(self, begin: float, end: float) -> bool:
-        """True if all points from `begin` to before `end` lie on it, without a gap."""
+        """True if all points from `begin` to before `end` are on a line, without a gap."""
         first, last = self.time.searchsorted((begin, end))
         time, value = self.time[first:last], self.value[first:last]
         if time.size < LEAST_REPEATS or np.diff(time).max() > LONGEST_STEP:
@@ -140,13 +140,13 @@ class Line(NamedTuple):
         return bool(np.abs(value - slope * time).max() <= ROUNDED * self.resolution)
 
     def steps(self, begin: float, end: float) -> float:
-        """How many resolutions it goes between two moments."""
+        """Change between two moments, in resolutions."""
         first, last = self.time.searchsorted((begin, end))
         return float(np.ptp(self.value[first:last])) / self.resolution
 
 
 def _straight_spans(lines: Sequence[Line]) -> Iterator[tuple[float, float]]:
-    """Longest spans, s, in which all signals lie on their lines, from which on to before which."""
+    """Longest spans, s, [begin, end), in which all signals follow their lines."""
     time = lines[0].time
     step = max(SHORTEST_STEP, *(float(np.median(np.diff(line.time))) for line in lines))
     window = max(WINDOW, (LEAST_REPEATS + 1) * step)  # one cell may be missing
@@ -164,7 +164,7 @@ def _straight_spans(lines: Sequence[Line]) -> Iterator[tuple[float, float]]:
 def _extended(
     lines: Sequence[Line], begin: float, end: float, step: float, *, ahead: bool
 ) -> float:
-    """The end of the longest span on lines that holds one; its begin, unless `ahead`."""
+    """The end of the longest span on lines that contains one; its start, unless `ahead`."""
     time, reach = lines[0].time, end - begin
     while reach > step / 4.0:
         wider = (begin, end + reach) if ahead else (begin - reach, end)
@@ -177,7 +177,7 @@ def _extended(
 
 
 def _speed_and_battery(signals: Mapping[str, Signal]) -> list[Points]:
-    """Points of speed, voltage and current, or speed and power; none if any has too few."""
+    """Points of speed, voltage and current, or speed and power; empty if any has too few."""
     pair = ("voltage", "current")
     names = ["speed", *(pair if signals.keys() >= set(pair) else signals.keys() & {"power"})]
     points = [signals[name].points() for name in names]
@@ -186,7 +186,7 @@ def _speed_and_battery(signals: Mapping[str, Signal]) -> list[Points]:
 
 
 def _are_unusual(stands: Sequence[Stand], alike: Iterable[Stand], speed: FloatArray) -> bool:
-    """True unless most of a drive is `alike`, or all of it."""
+    """True unless most of a drive, or all of it, is `alike`."""
     moving = np.count_nonzero(speed)
     still = sum(stand.last + 1 - stand.first for stand in alike)
     usual = len(stands) > MOST_LOST and still > USUALLY * moving
@@ -194,6 +194,6 @@ def _are_unusual(stands: Sequence[Stand], alike: Iterable[Stand], speed: FloatAr
 
 
 def _run(changes: FloatArray, begin: float) -> float:
-    """Length of the stretch without a change that holds a moment, s."""
+    """Length of the unchanged stretch that contains a moment, s."""
     after = int(changes.searchsorted(begin, side="right"))
     return float(changes[after] - changes[after - 1])

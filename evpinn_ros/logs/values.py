@@ -1,8 +1,7 @@
-"""Units, signs and repeated cells, as the values of columns tell them.
+"""Units, signs and repeated cells, inferred from the values of columns.
 
-A logger that fills cells with the last known value (the Vehicle Energy Dataset) makes steps of a
-speed; where rows come unevenly, a fine signal that repeats to the last digit was not measured
-again.
+A logger that fills cells with the last known value (the Vehicle Energy Dataset) makes a staircase
+of speed; if rows are uneven, a fine signal that repeats to the last digit was not measured again.
 """
 
 from __future__ import annotations
@@ -31,36 +30,36 @@ from evpinn_ros.logs.signal import (
 )
 from evpinn_ros.logs.speed_unit import with_speed_unit
 
-CRUISING = 5.0  # m/s: a car that goes faster takes from its battery in the mean
+CRUISING = 5.0  # m/s: above it the mean battery power is positive
 LEAST_CRUISE = 30  # readings of such a mean
-SAG = 0.3  # correlation of current and voltage from which on the battery's resistance is seen
+SAG = 0.3  # correlation of current and voltage from which on resistance is visible
 LEAST_SAGS = 30  # steps of both
-STRONG = 150.0  # kW: more is seldom, and as many W move a light vehicle
-WEAKEST = 1000.0  # W: a car that takes no more than this in its whole drive does not drive
-HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: of no battery of a vehicle
-HOTTEST = 38.0  # degrees C: no drive is warmer in the median, so it is F
-BACKWARDS = 0.99  # of the speeds that are not zero
+STRONG = 150.0  # kW: seldom exceeded; as many W move a light vehicle
+WEAKEST = 1000.0  # W: a car that never takes more does not drive
+HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: above any vehicle's battery
+HOTTEST = 38.0  # degrees C: no drive has a higher median, so it is F
+BACKWARDS = 0.99  # share of the nonzero speeds
 SELDOM, OVERLAP = 0.02, 0.1  # share of the values, and of the larger of two
-KELVIN = 200.0  # from here on it is K
-STEEPEST, STEEPEST_MEAN = 0.4, 0.12  # fractions of roads and of trips: what has more is in percent
-ALIKE = 0.5  # correlation of two powers from which on they are one, up to sign and size
-RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of a bus
+KELVIN = 200.0  # K from here on
+STEEPEST, STEEPEST_MEAN = 0.4, 0.12  # fractions, of roads and trips: larger values are percent
+ALIKE = 0.5  # correlation from which on two powers are the same, up to sign and size
+RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of signals on a bus
 SPANS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in (16, 32))
 FEW_BITS = sorted(step * 2.0**bits for step in RESOLUTIONS for bits in range(8, 16))
 LEAST_WRAPPED = 5  # readings
-NOT_TRACTION = 40.0  # V: below, a battery that does not sag under the current is not what drives
+NOT_TRACTION = 40.0  # V: below, a battery that does not sag under current is another one
 GEARED = 0.98  # correlation of speed and motor speed
 MAY_BE_HELD = ("speed", "current", "power")
-UNEVEN = 0.5  # of the usual step between rows: one step in twenty is shorter
-LEAST_REPEATS = 0.1  # of the steps
-FINE = 10.0  # resolutions that a signal usually changes by
+UNEVEN = 0.5  # share of the usual step: one step in twenty is shorter
+LEAST_REPEATS = 0.1  # share of the steps
+FINE = 10.0  # resolutions by which a signal usually changes
 LEAST_ROWS = 100
 
 
 def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> dict[str, Column]:
     """The columns, each with a unit and a sign."""
     decided = dict(columns)
-    for name, decide in _BY_VALUES.items():  # the speed's needs the units of these
+    for name, decide in _BY_VALUES.items():  # the unit of speed needs those of the others
         if name in decided and (not decided[name].has_unit or decided[name].could_be):
             decided[name] = decide(decided[name], cells[name].known)
     for name in SIGNED:
@@ -83,13 +82,13 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
 
 
 def is_backwards(speed: Signal) -> bool:
-    """True if a car seems to drive backwards all the time: its sensor counts that way."""
+    """True if a car seems to always drive backwards: its sensor counts that way."""
     moving = speed.known[speed.known != 0.0]
     return moving.size >= LEAST_EVENTS and bool(np.mean(moving < 0.0) > BACKWARDS)
 
 
 def flows_one_way(drawn: FloatArray, back: FloatArray) -> bool:
-    """True if two columns hold what is drawn and what flows back, hardly ever at once."""
+    """True if two columns are drawn and returned energy, hardly ever both at once."""
     for values in (drawn, back):
         if min(np.sum(values < 0.0), np.sum(values > 0.0)) > SELDOM * np.isfinite(values).sum():
             return False
@@ -99,13 +98,13 @@ def flows_one_way(drawn: FloatArray, back: FloatArray) -> bool:
 
 
 def net(drawn: FloatArray, back: FloatArray) -> FloatArray:
-    """What is drawn less what flows back, where either is told; the other is as last told."""
+    """Drawn less returned energy where either is known; the other keeps its last value."""
     flow = np.abs(np.nan_to_num(last_known(drawn))) - np.abs(np.nan_to_num(last_known(back)))
     return np.where(np.isfinite(drawn) | np.isfinite(back), flow, np.nan)
 
 
 def is_engine(turning: Signal, speed: Signal) -> bool:
-    """True for a hybrid's engine, which at times stands while the car drives."""
+    """True for the engine of a hybrid, which sometimes stops while the car drives."""
     turns = at_times(turning, speed.time)
     return bool((turns > 0).any()) and correlation(speed.value, turns) < GEARED
 
@@ -127,7 +126,7 @@ def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> s
         values[both].argsort().argsort().astype(np.float64)
         for values in (volts, cells["current"].value)
     ]
-    alike = correlation(ranks[0], ranks[1])  # which no glitch hides
+    alike = correlation(ranks[0], ranks[1])  # robust against glitches
     if abs(alike) > ALIKE or _sag(cells["current"], cells["voltage"]) != 0.0:
         return ""
     return f"about {middle:.3g} V whatever the current, not that of the traction battery"
@@ -136,10 +135,10 @@ def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> s
 def _with_sign(
     column: Column, drawn: Signal, speed: Column, cells: Mapping[str, Signal]
 ) -> Column:
-    """The column, positive while the battery discharges; assumed if nothing or two things tell."""
+    """The column, positive at discharge; assumed if evidence is missing or contradictory."""
     sag = _sag(drawn, cells["voltage"]) if "voltage" in cells else 0.0
     mass = pull(speed.in_si(cells["speed"]), drawn)
-    if sag and mass * sag > 0.0:  # a voltage that the app has computed does not fall under load
+    if sag and mass * sag > 0.0:  # a computed voltage does not drop under load
         positive, shows, certain = mass > 0.0, "as accelerating shows, not the voltage", False
     elif sag:
         positive, shows, certain = sag < 0.0, "as the voltage shows", True
@@ -153,7 +152,7 @@ def _with_sign(
 def _sign_of_driving(
     drawn: Signal, speed: Column, cells: Mapping[str, Signal]
 ) -> tuple[bool, str, bool]:
-    """Sign while the battery discharges, what shows it, and whether that is certain."""
+    """Sign at discharge, its evidence, and whether that is certain."""
     times, change = accelerations(cells["speed"])
     at, change = at_times(drawn, times), change * speed.factor
     taken = at[(change > EVENT) & np.isfinite(at)]
@@ -168,7 +167,7 @@ def _sign_of_driving(
 
 
 def _sag(current: Signal, voltage: Signal) -> float:
-    """Correlation of the steps of current and voltage, which falls under load; 0 if not clear."""
+    """Correlation of steps of current and voltage, which drops under load; 0 if unclear."""
     at = at_times(voltage, current.time)
     both = np.isfinite(at) & np.isfinite(current.value)
     amps, volts = np.diff(current.value[both]), np.diff(at[both])
@@ -178,7 +177,7 @@ def _sag(current: Signal, voltage: Signal) -> float:
 
 
 def wrapped_while_braking(drawn: Signal, speed: Signal) -> float:
-    """Span of unsigned numbers of few bits: the upper ones come while the car slows down."""
+    """Span of unsigned numbers of few bits, whose upper values occur at braking; or 0."""
     span = wrapped_at(drawn.known, FEW_BITS)
     if not span:
         return 0.0
@@ -242,13 +241,13 @@ def _temperature_unit(column: Column, values: FloatArray) -> Column:
         )
     if middle > HOTTEST:
         return column.in_unit("f", f"its median of {middle:.3g} is too hot for °C").guessed(())
-    if column.could_be:  # as its app's setting may be
+    if column.could_be:  # depending on a setting of the app
         return column
     return column.in_unit("c", f"as its median is {middle:.3g}").guessed(("f",))
 
 
 def in_fractions(grades: FloatArray) -> bool:
-    """True if grades are fractions and not percent, by the steepest roads and trips."""
+    """True if grades are fractions, not percent, by the steepest roads and trips."""
     size = np.abs(grades)
     return bool(size.max(initial=0.0) <= STEEPEST and size.sum() <= STEEPEST_MEAN * size.size)
 
@@ -267,7 +266,7 @@ _BY_VALUES = {
     "charge": _charge_unit,
     "ambient": _temperature_unit,
 }
-"""Rules for the unit of a quantity that has none, by its values."""
+"""Rules that infer the unit of a quantity from its values."""
 
 
 def held_columns(signals: Mapping[str, Signal]) -> frozenset[str]:
@@ -289,7 +288,7 @@ def _is_held(signal: Signal) -> bool:
 
 
 def power_beside(header: Sequence[str], used: Sequence[Column]) -> Column | None:
-    """A column of the battery's power that is not needed, for voltage and current are there."""
+    """A column of battery power that is unnecessary besides voltage and current."""
     taken = {column.quantity: column.place for column in used}
     if not {"voltage", "current"} <= taken.keys() or "power" in taken:
         return None
@@ -300,6 +299,6 @@ def power_beside(header: Sequence[str], used: Sequence[Column]) -> Column | None
         if not any(score(load, header[place]) > 0.0 for load in LOADS)
     }
     place = max(scores, key=lambda i: scores[i], default=0)
-    with suppress(InputError):  # of a unit that is not known it tells nothing
+    with suppress(InputError):  # an unknown unit is no evidence
         return column_of("power", header, place) if scores.get(place, 0.0) > 0.0 else None
     return None

@@ -1,4 +1,4 @@
-"""Plans as planners have them: tables, tracks, answers of route services, recorded drives."""
+"""Plans in common formats: tables, tracks, answers of route services, recorded drives."""
 
 from evpinn_ros.logs.plans.read import read_plan
 

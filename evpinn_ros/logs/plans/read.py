@@ -1,4 +1,4 @@
-"""Plans from files of any kind, which their content shows."""
+"""Reads plans from files of any kind, recognised by content."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ from evpinn_ros.logs.sources import open_source
 from evpinn_ros.topics import FRAME_TYPE, SPEEDS
 from evpinn_ros.topics.plans import PLAN_TYPES, plan_of_message
 
-MOST_XML = 32 << 20  # bytes, unpacked: 50,000 points with all that watches add
+MOST_XML = 32 << 20  # bytes, unpacked: 50,000 points with the data that watches add
 MOST_JSON = 16 << 20  # bytes
-MOST_VALUES = 20 * MAX_POINTS  # of JSON; as an object of Python each takes up to 150 bytes
-BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # before the first letter, marks of the encoding too
-TEXTS = {*TEXT_SUFFIXES, ".json"}  # whose content says whether they are a plan or a drive
-BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # and logs of other forms than tables
+MOST_VALUES = 20 * MAX_POINTS  # values of JSON; each takes up to 150 bytes as a Python object
+BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # bytes before the first letter, and byte order marks
+TEXTS = {*TEXT_SUFFIXES, ".json"}  # suffixes of plans or drives; the content decides
+BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # and logs in other formats than tables
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
 
 
@@ -56,11 +56,11 @@ def read_plan(
 ) -> Plan | Legs:
     """The plan (points or legs) in a file that docs/reference/inputs.md lists.
 
-    InputError if it cannot be read, `PlanError` if it holds no trip; both name the file.
+    InputError if it cannot be read, `PlanError` if it contains no trip; both name the file.
     """
     path = Path(path)
     try:
-        with np.errstate(all="ignore"):  # what is not finite is refused in words
+        with np.errstate(all="ignore"):  # non-finite values are refused later, in words
             return _plan(path, vehicle or load_vehicle("generic"), options)
     except InputError as error:
         text = str(error)
@@ -100,7 +100,7 @@ def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
 
 
 def _content(path: Path, size: int) -> bytes:
-    """The first bytes of a file, unpacked where it is gzipped; every plan's file opens here."""
+    """The first bytes of a file, decompressed if gzipped; every plan file is opened here."""
     with as_input_error(path, EOFError, ValueError, zlib.error), open_unpacked(path) as file:
         return file.read(size)
 
@@ -131,9 +131,9 @@ def _json_plan(content: bytes, pace: float | None) -> Legs:
 FIELDS = {SpeedReading: "speed", AltitudeReading: "altitude", GradeReading: "grade"}
 ROAD = {"time", "speed", "elevation", "grade", "latitude", "longitude"}  # columns of a plan
 LEAST_GAP = 60.0  # s between two speeds
-GAP_STEPS = 10.0  # mean steps, which a gap exceeds as well: some plans have few rows
-LONG_GAP = 600.0  # s, after which the log is of another drive
-STANDING = 0.5  # m/s before a gap and after it
+GAP_STEPS = 10.0  # mean steps, which a gap also exceeds: some plans have few rows
+LONG_GAP = 600.0  # s; after a longer gap another drive begins
+STANDING = 0.5  # m/s, most before and after a gap
 SHORTEST = 2.0  # s
 UNIT_OF_TIME = "a column of times says its unit, as t_s or 'time [ms]' do"
 DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
@@ -145,7 +145,7 @@ def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
     readings = [reading for reading in source.readings() if type(reading) in FIELDS]
     if source.problem:
         raise InputError(source.problem)
-    mixed = not source.in_order and not source.dated  # how long legs take may stand there
+    mixed = not source.in_order and not source.dated  # rows may be legs with durations
     if mixed or source.dropped["time_not_increasing"] > len(readings):
         raise PlanError("its times do not rise, so they are no times")
     _warn_of_choices(source)
@@ -154,7 +154,7 @@ def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
 
 
 def _warn_of_choices(source: Source) -> None:
-    """Warn of the columns of a table that were found by their names and values."""
+    """Warn of the columns of a table that were chosen by name and values."""
     if any(rule.why for rule in source.rules):
         chosen = "; ".join(
             f"{rule.quantity} {rule.name!r}{f', {rule.unit}' * bool(rule.unit)} ({rule.basis})"
@@ -170,9 +170,9 @@ def _warn_of_choices(source: Source) -> None:
 
 
 def plan_of_readings(readings: Iterable[Reading], *, recorded: bool = True) -> Plan:
-    """The plan of a drive's speeds and altitudes, or else grades, without a log's pauses.
+    """The plan of a drive's speeds and altitudes, or else grades, without pauses of the log.
 
-    What was not recorded has no gaps, and heights that are exact.
+    Unless `recorded`, the speeds have no gaps and the heights are exact.
     """
     rows: dict[type, list[tuple[int, float]]] = {kind: [] for kind in FIELDS}
     for reading in readings:
@@ -204,7 +204,7 @@ def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
 
 
 def _driven(speed: np.ndarray) -> np.ndarray:
-    """Times since the first speed, s, without gaps but short ones and short standstills."""
+    """Times since the first speed, s, without long gaps and long standstills."""
     steps = np.diff(speed[:, 0])
     gap = steps > max(LEAST_GAP, GAP_STEPS * float(np.minimum(steps, LONG_GAP).mean()))
     moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING
@@ -213,7 +213,7 @@ def _driven(speed: np.ndarray) -> np.ndarray:
 
 
 def planned_in_bag(path: Path, vehicle: Vehicle) -> Plan | None:
-    """The newest plan in a bag, as the node reads it; None if there is none, or a drive."""
+    """The newest plan in a bag, as the node reads it; None if it has none, or is a drive."""
     nominal = vehicle.nominal_speed
     usual = NOMINAL_SPEED if math.isnan(nominal) else nominal
     plan: Plan | PlanError | None = None

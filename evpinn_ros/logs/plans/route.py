@@ -1,10 +1,10 @@
-"""Answers of route services, the first route of each.
+"""Reads the first route in an answer of a route service.
 
 Formats by their documentation: Valhalla's `route` and `trace_attributes`
 (valhalla.github.io/valhalla/api), OSRM (project-osrm.org/docs), GraphHopper (docs.graphhopper.com)
-and openrouteservice (giscience.github.io/openrouteservice). The finest parts whose duration is
-known are read, then joined (`_lasting`): a service's time of an edge knows no stop. A service
-cuts a road where it likes: parts of one speed are one before.
+and openrouteservice (giscience.github.io/openrouteservice). The finest parts with a known duration
+are read, then joined (`_lasting`), as a service's time of an edge contains no stop. Services split
+a road anywhere, so consecutive parts of one speed are joined first.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Json: TypeAlias = Mapping[str, Any]
 
 METRES = {"m": 1.0, "km": 1000.0, "mi": 1609.344, "kilometers": 1000.0, "miles": 1609.344}
 FOOT = 0.3048  # m
-NO_HEIGHT = 32768.0  # in Valhalla's elevations
-SETTLED = 60.0  # s that a leg lasts at least
-OSRM_ROUTES = ("routes", "matchings", "trips")  # of its services route, match and trip
-LONGEST = 16 * MAX_POINTS  # characters; a point takes four to twelve
-# What carries the car: modes of OSRM, uses of Valhalla's edges, environments of GraphHopper.
+NO_HEIGHT = 32768.0  # marks an unknown elevation in Valhalla
+SETTLED = 60.0  # s: shortest duration of a leg
+OSRM_ROUTES = ("routes", "matchings", "trips")  # keys of its services route, match and trip
+LONGEST = 16 * MAX_POINTS  # characters of an encoded line; a point takes four to twelve
+# Carriers of the car: modes of OSRM, uses of Valhalla's edges, environments of GraphHopper.
 CARRIERS = {"ferry", "train", "rail", "rail-ferry", "rail_ferry", "shuttle train", "shuttle_train"}
 FERRY_MANEUVER, FERRY_SIGN = 28, 9  # types of Valhalla and GraphHopper
 FERRY_CATEGORY, FERRY_WAY = 8, 9  # openrouteservice: a bit of `waycategory`, one of `waytypes`
@@ -38,11 +38,11 @@ KNOWN = (
     "known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and openrouteservice, and "
     "drives that `evpinn replay` reads"
 )
-MOST_CHUNKS = 7  # characters of a number: 35 bits, of which places need 29
+MOST_CHUNKS = 7  # characters of a number: 35 bits, of which coordinates need 29
 
 
 class RoutePart(NamedTuple):
-    """A part of a route: length, m, and duration, s; and whether something carries the car."""
+    """A part of a route: length, m, duration, s, and whether the car is carried, as on a ferry."""
 
     length: float
     duration: float
@@ -70,7 +70,7 @@ def legs_of_route(data: Json) -> Legs | None:
         return _legs([part for leg in legs for part in _osrm_parts(leg)])
     if reason := data.get("error") or data.get("message") or data.get("code"):
         text = reason.get("message", reason) if isinstance(reason, Mapping) else reason
-        if text == "Ok":  # of another service, as OSRM's table
+        if text == "Ok":  # of another service, such as OSRM's table
             raise PlanError("there is no route in this answer")
         raise PlanError(f"the route service found no route: {text}")
     return None
@@ -83,7 +83,7 @@ def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
     if (carried := rows[:, 2] > 0).any():
         rows, heights = _driven(rows, carried, heights)
     length, duration = _lasting(rows[:, :2]).T
-    if heights is not None and np.isfinite(heights.height).any():  # taken once in `SETTLED`
+    if heights is not None and np.isfinite(heights.height).any():  # once per `SETTLED`
         pieces = np.maximum(duration // SETTLED, 1).astype(int)
         length, duration = (np.repeat(column / pieces, pieces) for column in (length, duration))
     return legs_between(sums(duration), sums(length), heights)
@@ -92,7 +92,7 @@ def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
 def _driven(
     rows: np.ndarray, carried: np.ndarray, heights: Heights | None
 ) -> tuple[np.ndarray, Heights | None]:
-    """Parts that the car drives, and the heights along them; warns of what is left out."""
+    """Parts that the car drives, and the heights along them; warns of omitted parts."""
     metres, seconds, _ = rows[carried].sum(0)
     warnings.warn(
         f"{metres / 1e3:.1f} km and {seconds / 60:.0f} min on a ferry or a train are left out",
@@ -112,9 +112,9 @@ def _driven(
 def _carried(
     spans: Sequence[Sequence[int]], carriers: Sequence[Sequence[int]], along: np.ndarray
 ) -> list[bool]:
-    """Whether each span of points is most of all on what carries the car.
+    """Whether the car is carried on most of each span of points.
 
-    `along` are distances of the points, m; PlanError where a span hides a ferry.
+    `along` are distances of the points, m; PlanError if a span hides a ferry.
     """
 
     def shared(span: Sequence[int]) -> float:
@@ -131,8 +131,8 @@ def _carried(
 
 
 def _lasting(parts: np.ndarray) -> np.ndarray:
-    """Parts in order, (n, 2), joined where of one speed, and so that each lasts `SETTLED`."""
-    begins_one = np.concatenate(([True], parts[:-1, 1] > 0.0))  # what takes no time ends later
+    """Parts in order, (n, 2), joined if of equal speed, and until each lasts `SETTLED`."""
+    begins_one = np.concatenate(([True], parts[:-1, 1] > 0.0))  # others join the next part
     parts = np.add.reduceat(parts, np.flatnonzero(begins_one))
     with np.errstate(divide="ignore", invalid="ignore"):
         run = runs_of(parts[:, 1], parts[:, 0])
@@ -149,7 +149,7 @@ def _lasting(parts: np.ndarray) -> np.ndarray:
 
 
 def _scaled(parts: Sequence[float] | np.ndarray, total: float) -> np.ndarray:
-    """The parts, made to sum up to a total, of which they leave out what is between them."""
+    """The parts, scaled to a total, which also contains the distance between them."""
     numbers = np.array(parts, float)
     return numbers * (total / numbers.sum()) if total > 0 and numbers.sum() > 0 else numbers
 
@@ -178,7 +178,7 @@ def _valhalla_route(trip: Json) -> Legs:
 
 
 def _valhalla_edges(data: Json) -> Legs:
-    """The edges of `trace_attributes`, by the time that the path takes to their ends."""
+    """The edges of `trace_attributes`, by the time of the path at their ends."""
     edges = data["edges"]
     metres, metres_up = _units(data)
     length = np.array([edge["length"] for edge in edges], float) * metres
@@ -195,13 +195,13 @@ def _valhalla_edges(data: Json) -> Legs:
 
 
 def _units(answer: Json) -> tuple[float, float]:
-    """Metres in the lengths of an answer of Valhalla, and in its heights."""
+    """Metres per unit of length, and of height, in an answer of Valhalla."""
     units = answer.get("units", "kilometers")
     return METRES[units], FOOT if units == "miles" else 1.0
 
 
 def _osrm_parts(leg: Json) -> Iterator[RoutePart]:
-    """Segments of the annotation with the leg's duration, which has that of turns; or steps."""
+    """Segments of the annotation, scaled to the leg's duration, which has turns; or steps."""
     given = leg.get("annotation") or {}
     steps = [
         RoutePart(step["distance"], step["duration"], step.get("mode") in CARRIERS)
@@ -228,7 +228,7 @@ def _osrm_parts(leg: Json) -> Iterator[RoutePart]:
 
 
 def _graphhopper(path: Json) -> Legs:
-    """Intervals of `details`, whose ends are points of the line; else instructions."""
+    """Intervals of `details`, which end at points of the line; else instructions."""
     total, details = float(path["distance"]), path.get("details") or {}
     line = _line(path.get("points"), total, path.get("points_encoded_multiplier", 1e5))
     timed = next((name for name in ("time", "average_speed") if name in details), "")
@@ -254,7 +254,7 @@ def _graphhopper(path: Json) -> Legs:
 
 
 def _as_instructed(along: np.ndarray, instructions: Sequence[Json]) -> np.ndarray:
-    """Distances of the points of a line, m, so that each instruction is as long as it says."""
+    """Distances of a line's points, m, scaled to the lengths of the instructions."""
     steps = np.diff(along)
     for begin, end, length in (
         (*instruction["interval"], instruction["distance"])
@@ -266,7 +266,7 @@ def _as_instructed(along: np.ndarray, instructions: Sequence[Json]) -> np.ndarra
 
 
 def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
-    """The steps of the segments, or the segments of an answer without instructions."""
+    """The steps of the segments; the segments if the answer has no instructions."""
     query = (data.get("metadata") or {}).get("query") or {}
     metres = METRES[query.get("units", "m")]
     parts: list[RoutePart] = []
@@ -291,7 +291,7 @@ def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
 
 
 def _line(line: Any, total: float, scale: float) -> Heights | None:
-    """Points of a line as long as the route, m; with heights if that fits its length better."""
+    """Points of a line scaled to `total`, m; with heights if its length then fits better."""
     if not line:
         return None
     if isinstance(line, str):
@@ -307,7 +307,7 @@ def _line(line: Any, total: float, scale: float) -> Heights | None:
 
 
 def _decoded(line: str, scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Distance along an encoded line and heights, m: without heights, and with, as it may be."""
+    """Distances along an encoded line and heights, m, decoded without and with heights."""
     for dimensions in (2, 3):
         with suppress(PlanError):
             latitude, longitude, *height = decode_polyline(line, scale, dimensions).T
@@ -318,7 +318,7 @@ def _decoded(line: str, scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]
 def decode_polyline(text: str, scale: float, dimensions: int) -> np.ndarray:
     """Latitude, longitude and perhaps height (0.01 m) of Google's polyline, shape (n, dimensions).
 
-    `scale`: numbers in a degree, 1e5 or 1e6. PlanError: it is damaged.
+    `scale`: units per degree, 1e5 or 1e6. PlanError: the text is damaged.
     """
     if len(text) > LONGEST:
         raise PlanError(f"a polyline of more than {LONGEST} characters")

@@ -33,11 +33,11 @@ from evpinn_ros.logs.text_table import TextTable
 from evpinn_ros.logs.values import in_fractions
 
 COLUMNS = "columns t_s and speed_mps, or those of legs, length_m and duration_s or speed_kmh"
-FEW = 8  # names that an error lists
+FEW = 8  # names listed in an error
 NEEDED = ("t_s", "speed_mps")
-BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast has a distance too
+BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast also has a distance
 Kinds: TypeAlias = Mapping[str, tuple[tuple[str, ...], str]]
-"""Columns by what they hold: words before the unit, and a quantity of the same units."""
+"""Columns by their content: words before the unit, and a quantity of the same units."""
 PROFILE_COLUMNS: Kinds = {  # "cyc" as FASTSim has it: cycSecs, cycMps, cycGrade
     "time": (("t", "time", "cyc"), "time"),
     "speed": (("speed", "cyc", ""), "speed"),
@@ -52,7 +52,7 @@ LEG_COLUMNS: Kinds = {
     "start": (("start elevation", "start height"), "elevation"),
     "end": (("end elevation", "end height", "elevation", "height"), "elevation"),
 }
-HEIGHTS = {"elevation", "climb", "end"}  # beside which a slope is not needed
+HEIGHTS = {"elevation", "climb", "end"}  # columns that make a slope unnecessary
 SLOPES = {"grade", "incline"}
 CYCLE = (
     "a slope beside each speed is that of a driving cycle, which is taken as driven; --expected "
@@ -61,9 +61,9 @@ CYCLE = (
 
 
 def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
-    """The plan of columns `t_s` and `speed_mps`, or of legs; warns of columns left out.
+    """The plan of columns `t_s` and `speed_mps`, or of legs; warns of unused columns.
 
-    InputError: columns are missing, or hold what is no number; `PlanError`: no trip.
+    InputError: columns are missing, or contain values that are no numbers; `PlanError`: no trip.
     """
     names = [*map(str, given)]
     if columns := profile_columns(names):
@@ -88,7 +88,7 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
 
 
 def edges_of_columns(given: Mapping[str, Any]) -> Legs:
-    """Edges of a road network by columns of legs, in no order. InputError, PlanError."""
+    """Edges of a road network from columns of legs, in any order. InputError, PlanError."""
     columns = leg_columns([*given])
     if not columns:
         raise InputError("edges have two of the columns length_m, duration_s and speed_kmh")
@@ -96,7 +96,7 @@ def edges_of_columns(given: Mapping[str, Any]) -> Legs:
 
 
 def table_plan(path: Path) -> Plan | Legs | None:
-    """The plan of a text table; None for other columns, which may be a drive."""
+    """The plan in a text table; None for other columns, which may be those of a drive."""
     table = TextTable(path)
     head = find_head(table)
     names = {*head.names}
@@ -109,7 +109,7 @@ def table_plan(path: Path) -> Plan | Legs | None:
     used = {name for name, _ in columns.values()}
     warn_of_unused(head.names, used)
     places = {name: place for place, name in enumerate(head.names) if name in used}
-    cells: dict[str, list[str]] = {name: [] for name in places}  # the others may be thousands
+    cells: dict[str, list[str]] = {name: [] for name in places}  # there may be thousands of others
     for _, row in islice(data_rows(table, head), MAX_POINTS + 1):
         for name, place in places.items():
             cells[name].append(row[place] if place < len(row) else "")
@@ -118,12 +118,12 @@ def table_plan(path: Path) -> Plan | Legs | None:
 
 
 def _has_battery(names: Sequence[str]) -> bool:
-    """True of a recorded drive, whose reader knows no grade."""
+    """True for columns of a recorded drive, whose reader supports no grade."""
     return any(score(what, name) > 0 for what in ("voltage", "current", "power") for name in names)
 
 
 def warn_of_unused(names: Iterable[str], used: Iterable[str] = ()) -> None:
-    """Warn of the names of columns that a plan does not use, if any."""
+    """Warn of names of columns that a plan does not use, if any."""
     used = {*used}
     if unused := [name for name in names if name.strip() and name not in used]:
         more = f" and {len(unused) - FEW} more" if len(unused) > FEW else ""
@@ -132,20 +132,20 @@ def warn_of_unused(names: Iterable[str], used: Iterable[str] = ()) -> None:
 
 
 class Cells(NamedTuple):
-    """Cells of a column of text, and the style of their numbers."""
+    """Text cells of a column, and their number style."""
 
     cells: list[str]
     style: Style
 
 
 def profile_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Columns of speed over time by what they hold, with SI values per unit; empty for others."""
+    """Columns of speed over time by content, with SI values per unit; empty for others."""
     columns, _ = _known_columns(names, PROFILE_COLUMNS)
     return columns if columns.keys() >= {"time", "speed"} else {}
 
 
 def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Columns of legs by what they hold, with SI value per unit; PlanError without unit."""
+    """Columns of legs by content, with SI value per unit; PlanError without a unit."""
     columns, bare = _known_columns(names, LEG_COLUMNS)
     ours = {name for name, _ in columns.values()} | {*bare.values()}
     timed = any(score("time", str(name)) > 0 for name in names if name not in ours)
@@ -162,9 +162,9 @@ def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
 def _known_columns(
     names: Sequence[str], kinds: Kinds
 ) -> tuple[dict[str, tuple[str, float]], dict[str, str]]:
-    """Columns with SI value per unit (NaN: a grade without unit), and those that say none.
+    """Columns with SI value per unit (NaN: a grade without unit), and those that state no unit.
 
-    A grade that is an angle is named an incline.
+    A grade given as an angle has the name incline.
     """
     columns: dict[str, tuple[str, float]] = {}
     bare: dict[str, str] = {}
@@ -206,7 +206,7 @@ def _in_si(
 def _leg_numbers(
     given: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Length, duration and climb; a cell that is missing follows from others."""
+    """Length, duration and climb, shape (n,) each; missing cells follow from the others."""
     unknown = np.full(len(next(iter(given.values()))), np.nan)
     length, duration, speed, climb = (
         given.get(name, unknown) for name in ("length", "duration", "speed", "climb")
@@ -228,7 +228,7 @@ def _leg_numbers(
 
 
 def _grade_unit(name: str, grade: np.ndarray) -> float:
-    """1 of fractions, 0.01 of percent, by the steepest roads and trips; warns of what it took."""
+    """1 for fractions, 0.01 for percent, by the steepest roads and trips; warns of the choice."""
     grade = grade[np.isfinite(grade)]
     if not grade.any():
         return 1.0
@@ -240,7 +240,7 @@ def _grade_unit(name: str, grade: np.ndarray) -> float:
 
 
 def _climb(length: np.ndarray, grade: np.ndarray) -> np.ndarray:
-    """Climbs of lengths along roads that rise by so much of the horizontal way."""
+    """Climbs over lengths along the road; `grade` is relative to the horizontal."""
     return np.asarray(length * grade / np.hypot(1.0, grade))
 
 

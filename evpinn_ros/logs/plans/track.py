@@ -32,10 +32,10 @@ MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
 TIMES, SPEEDS = ("coordTimes", "times"), ("speeds",)
 PARTS = ("trkseg", "rte")
 POINTS, DETAILS = ("trkpt", "rtept"), ("ele", "time", "speed")
-MOST_PLACES = 2 * MAX_POINTS  # of a GPX; each takes some 500 bytes, and not all have a time
+MOST_PLACES = 2 * MAX_POINTS  # of a GPX file; each takes some 500 bytes, and some have no time
 PIECE = 1 << 16  # bytes
-LEAST_GAP = 60.0  # s between two segments, as of a recorded drive; less is a loss of reception
-DEEPEST = 100  # elements in each other: the parser keeps each that is open
+LEAST_GAP = 60.0  # s between two segments, as for a recorded drive; less is lost reception
+DEEPEST = 100  # nested elements: the parser keeps every open one
 NEITHER = (
     "its points have neither times nor speeds: say --speed 90km/h (speed_kmh=90), export it with "
     "times, or give the route as the JSON of its service or as a table of legs"
@@ -46,13 +46,13 @@ class GeoTrack(NamedTuple):
     """Points of a track; NaN where unknown."""
 
     place: np.ndarray  # shape (n, 3), longitude and latitude, degrees, and height, m
-    time: np.ndarray  # shape (n,), s since anything, NaN where unknown
+    time: np.ndarray  # shape (n,), s since any start, NaN where unknown
     speed: np.ndarray  # shape (n,), m/s, NaN where unknown
-    part: np.ndarray  # number of the segment or line of each, shape (n,); between two is no road
+    part: np.ndarray  # shape (n,), index of the segment or line; no road joins two of them
 
 
 def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
-    """Legs between points with a time, else by the speeds, else at a pace, m/s; or PlanError."""
+    """Legs between points by times, else by speeds, else at a pace, m/s; or PlanError."""
     place, time, speed, part = track
     if len(place) < 2:
         raise PlanError("it has no line of two points or more")
@@ -81,14 +81,14 @@ def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
     if (np.diff(elapsed) >= 0.0).all():
         elapsed, way = with_borders(elapsed, way, heights.borders(MAX_POINTS - len(way)))
     legs = legs_between(elapsed, way, heights)
-    if driven:  # as recorded, where it was
+    if driven:  # heights as recorded
         seen = time[timed], way_length(*track.place[timed, :2].T)
         legs = replace(legs, commanded=is_trace(*seen))
     return legs
 
 
 def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points before pauses longer than a loss of reception, and s of pauses before each point."""
+    """Points before pauses longer than lost reception, and s of pauses before each point."""
     timed = np.flatnonzero(np.isfinite(time))
     after = np.searchsorted(timed, apart, "right")
     apart, after = (border[(after > 0) & (after < len(timed))] for border in (apart, after))
@@ -99,15 +99,15 @@ def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def gpx_track(content: bytes) -> GeoTrack:
-    """The points of a GPX file's tracks, or of its routes where no track has times; PlanError."""
+    """The points of a GPX file's tracks, or of its routes if no track has times; PlanError."""
     reader = _Gpx()
     parser = XMLParser(target=reader)
     try:
-        for begin in range(0, len(content), PIECE):  # what is refused ends with its piece
+        for begin in range(0, len(content), PIECE):  # refused content stops after its piece
             parser.feed(content[begin : begin + PIECE])
         parser.close()
         tracks = [_gpx_points(reader.points[kind]) for kind in POINTS]
-    except (ParseError, LookupError, ValueError) as error:  # of an encoding as well
+    except (ParseError, LookupError, ValueError) as error:  # also for an invalid encoding
         raise PlanError(f"its XML is damaged: {error}") from error
     if not reader.is_gpx:
         raise PlanError("XML that is no GPX")
@@ -116,7 +116,7 @@ def gpx_track(content: bytes) -> GeoTrack:
 
 
 class _Gpx:
-    """Collects points while XML is parsed, so that no tree of it fills the memory."""
+    """Collects points while XML is parsed, without building a tree in memory."""
 
     def __init__(self) -> None:
         self.is_gpx = False
@@ -172,7 +172,7 @@ def _gpx_points(points: Sequence[Mapping[str, str]]) -> GeoTrack:
 
 
 def geojson_track(data: Mapping[str, Any]) -> GeoTrack:
-    """The points of all lines, in order; PlanError if times or speeds are not as many as they."""
+    """The points of all lines, in order; PlanError if the number of times or speeds differs."""
     places: list[Sequence[float]] = []
     times: list[Any] = []
     speeds: list[Any] = []
@@ -205,7 +205,7 @@ def _lines(data: Mapping[str, Any]) -> Iterator[tuple[Sequence[Any], Mapping[str
 
 
 def _seconds(times: Sequence[Any]) -> np.ndarray:
-    """Times as s: of ms since 1970 or ISO 8601, in UTC if unnamed; NaN for None."""
+    """Times, s, from ms since 1970 or ISO 8601 (UTC if no zone is given); NaN for None."""
     if not any(isinstance(time, str) for time in times):
         numbers = np.array(times, float)
         return numbers / 1e3 if (np.abs(numbers) > MILLISECONDS_FROM).any() else numbers

@@ -1,4 +1,4 @@
-"""A way from point to point with times, which tracks and routes become before they are legs."""
+"""A path of points with times: the form of tracks and routes before they become legs."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from evpinn_ros.core.energy.plan import (
 )
 from evpinn_ros.core.signals.height import AltitudeDetector
 
-FARTHEST = MAX_SPEED * LONGEST  # m that a trip can be long
-# A receiver that stands wanders: where the means of its places over `AROUND` s before and after a
-# moment are less than `WANDER` m apart, it does not drive, unless it gets farther in the end.
+FARTHEST = MAX_SPEED * LONGEST  # m, longest possible trip
+# Positions of a standing receiver drift: if the mean positions over `AROUND` s before and after
+# a moment are less than `WANDER` m apart, the car stands, unless it ends up farther away.
 AROUND, WANDER, STAYED = 10.0, 10.0, 25.0
-LEAST_AROUND = 4  # places before and after
-HEIGHT_STEP = 50.0  # m between places at which a track has its slopes
-APART = 1e-5  # m between two places; less is rounding
+LEAST_AROUND = 4  # positions before and after
+HEIGHT_STEP = 50.0  # m between positions at which slopes of a track are computed
+APART = 1e-5  # m between two positions; less is rounding
 EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
 
 
 class Heights(NamedTuple):
-    """Heights along a way: `along`, m from its begin, and `height`, m; shape (m,) each."""
+    """Heights along a path: `along`, m from its start, and `height`, m; shape (m,) each."""
 
     along: np.ndarray
     height: np.ndarray
@@ -47,9 +47,9 @@ class Heights(NamedTuple):
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
 
     def borders(self, most: int) -> np.ndarray:
-        """Distances, m, between which slopes are even and heights known, or not; so many at most.
+        """Distances, m, between which slopes are even and heights known, or not; at most `most`.
 
-        In order; empty where no heights are known.
+        In order; empty if no heights are known.
         """
         finite = np.isfinite(self.height)
         if finite.sum() < 2:
@@ -62,7 +62,7 @@ class Heights(NamedTuple):
 
 
 def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Heights, m, without leaps, as the estimator takes altitudes; `along` is m, never falling."""
+    """Heights, m, without leaps, as the estimator accepts them; `along` is m, never falling."""
     detector, rises = AltitudeDetector(), []
     for place, altitude in zip(along.tolist(), height.tolist(), strict=True):
         detector = detector.after(place, altitude)
@@ -72,7 +72,7 @@ def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:
 
 
 def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None = None) -> Legs:
-    """Legs of n points by time, s, and distance, m, which never fall; PlanError if no trip."""
+    """Legs of n points by time, s, and distance, m, both never falling; PlanError if no trip."""
     steps = np.diff(time)
     if not (np.isfinite(time).all() and (np.abs(distance) <= FARTHEST).all()):
         raise PlanError(f"a time is not finite, or a distance is above {FARTHEST / 1e3:g} km")
@@ -89,7 +89,7 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
 def with_borders(
     time: np.ndarray, distance: np.ndarray, borders: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times, s, and distances, m, of n points, with those of borders between them added."""
+    """Times, s, and distances, m, of n points, with those of the borders inserted."""
     place = np.searchsorted(distance, borders)
     inner = (place > 0) & (place < len(distance))
     place, borders = place[inner], borders[inner]
@@ -102,11 +102,11 @@ def with_borders(
 
 
 def without_wander(place: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Longitudes and latitudes, degrees, shape (n, 2), those of each stand moved to their mean.
+    """Longitudes and latitudes, degrees, shape (n, 2); those of each stop moved to their mean.
 
     Args:
-        place: of n points.
-        time: of these, s; where it falls nothing is moved.
+        place: of n points, longitude and latitude, degrees, shape (n, 2).
+        time: of these, s, shape (n,); nothing is moved where it falls.
     """
     if len(place) < 2 * LEAST_AROUND or (np.diff(time) < 0.0).any():
         return place
@@ -129,7 +129,7 @@ def without_wander(place: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
-    """Distance along n places, degrees, from the first, m, by great circles; PlanError."""
+    """Distance from the first of n places, degrees, along great circles, m; PlanError."""
     if not ((np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)).all():
         raise PlanError("a place of it is not on Earth (longitude and latitude in degrees?)")
     x, y = np.radians(longitude), np.radians(latitude)
