@@ -1,4 +1,4 @@
-"""`evpinn recover`: saves what is readable of a broken bag as a new bag; reports losses."""
+"""`evpinn recover`: saves the readable part of a broken bag as a new one; reports losses."""
 
 from __future__ import annotations
 

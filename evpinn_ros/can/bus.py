@@ -150,7 +150,7 @@ class BusReader:
         self._backoff_s = FIRST_BACKOFF_S
 
     def open(self) -> None:
-        """Open the bus now; if that fails, InputError says what to do."""
+        """Open the bus now; if that fails, InputError states the remedy."""
         try:
             if self._interface == elm327.NAME:
                 self._bus = elm327.Elm327Bus(

@@ -1,4 +1,4 @@
-"""DBC files of any origin: finds the messages and signals of a profile or says what is wrong."""
+"""Finds the messages and signals of a profile in DBC files, or states the fault."""
 
 from __future__ import annotations
 

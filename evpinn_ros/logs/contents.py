@@ -55,7 +55,7 @@ class Contents:
     # data that the estimator can use; None if there are none
     drive: DataCoverage | None = None
     dropped: Counter[str] | None = None  # unused values of the drive, by reason
-    notes: tuple[str, ...] = ()  # what was not readable or usable, and why
+    notes: tuple[str, ...] = ()  # unreadable or unusable parts, with reasons
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
