@@ -1,1 +1,1 @@
-"""Recorded drives through the chain, and their scores."""
+"""Replays recorded drives through the chain, and scores them."""

@@ -1,4 +1,4 @@
-"""Replay of one car's drives in order: the one way in, of the command and of Python."""
+"""Replay of one car's drives in order, for the command and for Python."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from evpinn_ros.topics.settings import estimator_settings, imu_mounting, jump_ru
 
 
 class CarReplay:
-    """Drives of one car through one chain, in order: what one teaches is carried over."""
+    """Replays drives of one car through one chain, in order; learned values are carried over."""
 
     def __init__(
         self,
@@ -48,11 +48,11 @@ class CarReplay:
         state: Path | None = None,
         keep_drives: bool = False,
     ) -> None:
-        """Begin at the priors, or at a state where its file is there; or InputError.
+        """Begin at the priors, or at the state in an existing file; or InputError.
 
-        With `keep_drives` each breakdown stays, to be compared, and a jump of time resets nothing.
+        With `keep_drives` each breakdown is kept to be compared, and no jump of time resets.
         """
-        # One thread, so that the same bag gives the same bits and other cores stay free.
+        # One thread, so that results repeat bit by bit, and other cores stay free.
         limit_blas_threads()
         self.vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         self.options = options  # of every replay
@@ -66,11 +66,11 @@ class CarReplay:
         self._mode = settings.mode
         self.chain = Chain(
             self.vehicle, settings, InlineWorker(time.perf_counter), jump_rule(values)
-        )  # the cores, with what they learned so far
-        self.missing = _restore(self.chain, state)  # a line when half of it was missing
+        )  # the cores, with their learned state
+        self.missing = _restore(self.chain, state)  # a line if half of the state was missing
 
     def open(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> Source:
-        """A drive to replay, as `open_source` opens it; the IMU is mounted as parameters say."""
+        """Open a drive as `open_source` does, with the mounting of the IMU by parameter."""
         return open_source(path, self.vehicle, replace(options, mounting=self._mounting))
 
     def replay(
@@ -99,7 +99,7 @@ class CarReplay:
         return replayed
 
     def breakdown(self) -> dict[str, Any]:
-        """Where the energy of all drives went together, as in the metrics of each."""
+        """The energy breakdown of all drives together, as in the metrics of each."""
         estimator = self.chain.estimator
         mass = estimator.parameters().parameters["mass"].trust
         of_all = estimator.breakdown(self._before)
@@ -111,7 +111,7 @@ class CarReplay:
         return totals([replayed.drive for replayed in self.done])
 
     def metrics(self) -> list[dict[str, Any]]:
-        """Values of `--metrics` of several drives; those of all are in the last."""
+        """Values of `--metrics` of each drive; the last has those of all drives too."""
         together = {
             "totals": self.totals(),
             "breakdown": self.breakdown(),
@@ -122,13 +122,13 @@ class CarReplay:
         return drives
 
     def at_next_drive(self) -> OnlineEstimator:
-        """The estimator as it would begin the next drive now; the present drive goes on."""
+        """A copy of the estimator as it would begin the next drive; the present drive goes on."""
         estimator = deepcopy(self.chain.estimator)
         estimator.begin_next_drive()
         return estimator
 
     def write_state(self, path: Path) -> None:
-        """Write what was learned, and the account, as they begin the next drive."""
+        """Write the learned state and the account, as they begin the next drive."""
         account = EnergyAccount(
             EnergyMeter(load_rknn()), self.vehicle.key, self.vehicle.battery_capacity
         )
@@ -139,7 +139,7 @@ class CarReplay:
 
 
 def mode_of(name: str) -> Mode:
-    """Mode of this name, or InputError."""
+    """The mode of this name, or InputError."""
     try:
         return Mode(name)
     except ValueError:
@@ -147,7 +147,7 @@ def mode_of(name: str) -> Mode:
 
 
 def _restore(chain: Chain, state: Path | None) -> str | None:
-    """Go on from a state file, if there; returns a line when half of it is missing."""
+    """Go on from a state file if it exists; returns a line if half of it is missing."""
     if state is None:
         return None
     with read_for_a_person(state):
@@ -158,7 +158,7 @@ def _restore(chain: Chain, state: Path | None) -> str | None:
         if counted is not None:
             chain.account.restore(counted)
     if learned is not None or counted is not None:
-        chain.begin_next_drive()  # what was saved is of an earlier drive, on another road
+        chain.begin_next_drive()  # the saved drive was on another road
     if counted is not None and learned is None:
         missing = missing or f"{state}: not there; its energy account is, and goes on"
     return missing or uncounted
@@ -167,7 +167,7 @@ def _restore(chain: Chain, state: Path | None) -> str | None:
 def _parameters(
     params: Path | None, mode: Mode | None, optimizer: PaperOptimizer | None
 ) -> dict[str, Value]:
-    """Parameters of the node `estimator`: defaults, the file over them, the rest over both."""
+    """Parameters of the node `estimator`: defaults, overridden by the file, then by arguments."""
     values = {parameter.name: parameter.default for parameter in TABLES["estimator"]}
     if params is not None:
         values.update(read_parameter_file(params, "estimator"))

@@ -1,4 +1,4 @@
-"""The chain of cores: readings to power, parameters and energy, as the three nodes do it."""
+"""The chain of cores from readings to power, parameters and energy, as in the three nodes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ChainOutput: TypeAlias = Output | Breakdown | EnergyState | AccountSummary
 
 
 class Chain:
-    """Estimator and energy account, the one behind the other."""
+    """Estimator, followed by the energy account."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class Chain:
         """Start at the vehicle's priors and zero energy; the worker computes updates."""
         self.estimator = OnlineEstimator(vehicle, settings, worker)
         self._rule, self._guard = rule, StampGuard(SpeedReading)
-        self._start: Mapping[str, Any] | None = None  # what was known when the drive began
+        self._start: Mapping[str, Any] | None = None  # learned state when the drive began
         self.account = EnergyAccount(
             EnergyMeter(load_rknn()),
             vehicle.key,
@@ -56,20 +56,20 @@ class Chain:
 
     @property
     def dropped(self) -> Counter[str]:
-        """Readings of this drive that were refused or did not pass the guard of time."""
+        """Counts of refused readings of this drive, and of those stopped by the guard of time."""
         guard = self._guard.dropped + Counter(stamp_leaps=self._guard.held)
         return guard + self.account.refused
 
     def add_reading(self, reading: Reading) -> Iterator[ChainOutput]:
-        """Take one reading; give all that the estimator and then the account say of it."""
+        """Take one reading; yields the outputs of the estimator, then those of the account."""
         return self.add_readings([reading])
 
     def add_readings(self, readings: Iterable[Reading]) -> Iterator[ChainOutput]:
-        """Take readings in the order they came; give all that is said of them, in order."""
+        """Take readings in order of arrival; yields all outputs in order."""
         return self.take(self.follow(Block.of(readings)))
 
     def follow(self, block: Block) -> Iterator[Block | Jump]:
-        """Take readings; give those for `take_block`: none that is refused or in doubt."""
+        """Take readings; yields jumps, and blocks of admitted readings for `take_block`."""
         for passed in self._guard.follow(block, self._rule):
             if isinstance(passed, Jump):
                 yield passed
@@ -77,9 +77,9 @@ class Chain:
                 yield admitted
 
     def take(self, items: Iterable[Block | Jump]) -> Iterator[ChainOutput]:
-        """Take blocks of readings and jumps; yields all that is said of them, in order.
+        """Take blocks of readings and jumps; yields all outputs in order.
 
-        As in nodes, whose topics have no common order, what waits at a jump is counted, not told.
+        As in nodes, readings that wait at a jump of time are counted, but give no outputs.
         """
         for item in items:
             if isinstance(item, Jump):
@@ -88,20 +88,20 @@ class Chain:
                 yield from (output for _, output in self.take_block(item))
 
     def read(self, block: Block) -> Outputs:
-        """Take readings that may be used; `account.count` then gives the states of the account."""
+        """Take admitted readings; `account.count` then returns the states of the account."""
         outputs = self.estimator.add_block(block)
         self._give(block, outputs)
         self._know_usual(self.estimator.model())
         return outputs
 
     def read_rest(self) -> Outputs:
-        """Take what waits for more of a drive that is over; `account.flush` counts it."""
+        """Take the waiting readings of a finished drive; `account.flush` counts them."""
         outputs = self.estimator.flush()
         self._give(Block(0, {}), outputs)
         return outputs
 
     def _give(self, block: Block, outputs: Outputs) -> None:
-        """Let the account have readings, and the powers that the estimator has of them."""
+        """Give the account readings, and the estimator's powers for them."""
         self.account.add_block(block)
         _, *measured = outputs.measured
         self.account.add_measured(*measured[:3])
@@ -111,9 +111,9 @@ class Chain:
     def take_block(
         self, block: Block, *, breakdowns: bool = False
     ) -> Iterator[tuple[int, ChainOutput]]:
-        """Take readings; yields what is said of them, each with the stamp that completed it.
+        """Take readings; yields outputs, each with the stamp of the reading that completed it.
 
-        The outputs of the estimator, those of the account beside them, breakdowns if asked.
+        These are outputs of the estimator, of the account and, if wanted, breakdowns.
         """
         usual = self.estimator.model()
         outputs = self.estimator.add_block(block, breakdowns=breakdowns)
@@ -121,12 +121,12 @@ class Chain:
         yield from self._told(outputs, usual)
 
     def take_rest(self) -> Iterator[tuple[int, ChainOutput]]:
-        """`take_block` of what waits for more of a drive that is over."""
+        """`take_block` for the waiting readings of a finished drive."""
         usual = self.estimator.model()
         yield from self._told(self.read_rest(), usual)
 
     def _told(self, outputs: Outputs, usual: CarModel | None) -> Iterator[tuple[int, ChainOutput]]:
-        """Outputs of the estimator, and those of the account after them, in order of stamps."""
+        """Outputs of the estimator, followed by those of the account, in order of stamps."""
         rows: list[tuple[int, ChainOutput]] = [*outputs.in_order()]
         rows += (
             (learned.known_ns, learned.breakdown)
@@ -159,7 +159,7 @@ class Chain:
         self.account.usual = math.nan if car is None else usual_cost(car)
 
     def jump(self) -> None:
-        """Time jumped back: join nothing across it, and begin anew where the rule says so."""
+        """After a jump of time: join nothing across it, and begin anew if the rule says so."""
         if self._rule.policy is not JumpPolicy.RESET:
             self.estimator.handle_time_jump()
             self.account.begin_after_jump()
@@ -170,7 +170,7 @@ class Chain:
         self.account.begin_next_trip()
 
     def begin_next_drive(self) -> None:
-        """Keep what was learned of the car; time and energy start anew."""
+        """Keep the learned car; time and energy start anew."""
         self.estimator.begin_next_drive()
         self.estimator.clear_counters()
         self._guard, self._start = StampGuard(SpeedReading), self.estimator.export()

@@ -1,4 +1,4 @@
-"""Drives of one car compared: one chain learns from all of them, and keeps their breakdowns."""
+"""Compares drives of one car: one chain learns from all of them, and keeps their breakdowns."""
 
 from __future__ import annotations
 
@@ -29,15 +29,14 @@ class DriveCurves(NamedTuple):
     """Values at even distances; shape (n,) each, NaN where unknown."""
 
     distance: np.ndarray  # km or miles
-    # measured since the start, kWh; none is counted while the battery is not measured, or is
-    # charged
+    # measured since the start, kWh; constant while the battery is not measured, or is charged
     energy: np.ndarray
-    speed: np.ndarray  # mean since the point before, of as many an hour
-    height: np.ndarray  # m or feet, where altitude was recorded
+    speed: np.ndarray  # mean since the point before, km/h or mi/h
+    height: np.ndarray  # m or feet, if altitude was recorded
 
 
 def distance_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Time, s, and distance until then, m, of each speed, none across gaps; shape (n,) each."""
+    """Time, s, and distance driven by then, m, of each speed, without gaps; shape (n,) each."""
     time, speed = rising(drive.speed).T
     return time, running_total(time, np.abs(speed))
 
@@ -67,25 +66,25 @@ Bar = Callable[[Source], AbstractContextManager[Progress]]
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Drives side by side, the first what the others are compared with."""
+    """Drives side by side; the others are compared with the first."""
 
-    vehicle: Vehicle  # whose drives they are
-    paths: tuple[Path, ...]  # where each came from
-    names: tuple[str, ...]  # short ones, no two alike
-    drives: tuple[Drive, ...]  # their series
-    breakdowns: Breakdowns  # of each by all that was learned, with the covariance between them
-    problems: tuple[str, ...] = ()  # what could not be read
+    vehicle: Vehicle  # of all drives
+    paths: tuple[Path, ...]  # input of each drive
+    names: tuple[str, ...]  # short and unique
+    drives: tuple[Drive, ...]  # series of each
+    breakdowns: Breakdowns  # of each drive, by the final model, with their covariance
+    problems: tuple[str, ...] = ()  # unreadable inputs
 
     def parts(self) -> list[Breakdown]:
         """The breakdown of each drive."""
         return [breakdown for i in range(len(self.drives)) if (breakdown := self.breakdowns.of(i))]
 
     def differences(self) -> list[Breakdown]:
-        """Every drive but the first, less the first, of 100 km each."""
+        """Difference of every other drive from the first, for 100 km each."""
         return [self.breakdowns.difference(i, 0) for i in range(1, len(self.drives))]
 
     def metrics(self) -> dict[str, Any]:
-        """All of it for scripts; `breakdown` as in the metrics of a replay."""
+        """The comparison as values for scripts; `breakdown` as in the metrics of a replay."""
         mode = Mode.HYBRID.value
         pairs = zip(self.names[1:], self.differences(), strict=True)
         return {
@@ -106,13 +105,13 @@ class Comparison:
 
 
 def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comparison:
-    """Drive a fresh car (with `keep_drives`) through all, the one to compare with first.
+    """Replay all drives with a new car (with `keep_drives`), beginning with the reference.
 
-    InputError: a drive is too short or its battery was not measured; or in mode paper.
+    InputError: a drive is too short, or its battery was not measured, or in mode paper.
     """
     breakdowns = _breakdowns(car)
     paths: list[Path] = []
-    owners: list[int] = []  # drive that each breakdown is of: a long stop begins another
+    owners: list[int] = []  # drive of each breakdown: a long stop begins another breakdown
     for number, source in enumerate(sources):
         with progress(source) as report:
             car.replay(source, progress=report)

@@ -1,4 +1,4 @@
-"""Names of drives that stand side by side."""
+"""Short names of drives in tables and charts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from evpinn_ros.logs.formats import TABLE_SUFFIXES, suffix_of
 
 
 def short_names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """A name for each drive: of its file, with suffix and folder where two would be alike."""
+    """A name for each drive: that of its file, with suffix and folder if needed to be unique."""
     whole = [path.absolute() for path in paths]
     bare = [_bare(path) for path in whole]
     if len(set(bare)) == len(bare):

@@ -1,4 +1,4 @@
-"""Energy and distance of a drive, where both are known."""
+"""Energy and distance of a drive in the time when both are known."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 from evpinn_ros.replays.history import Drive, lone_speeds
 from evpinn_ros.replays.scoring import Span, known_at
 
-LEAST_CHANGE = 0.005  # of distance or energy, by lone readings
+LEAST_CHANGE = 0.005  # share of distance or energy due to lone readings
 
 
 class DrivenSteps(NamedTuple):
-    """Steps of a drive between readings, none across a gap; shape (n,) each."""
+    """Steps of a drive between readings, without gaps; shape (n,) each."""
 
     end: np.ndarray  # time at their end, s
-    seconds: np.ndarray  # that they took
+    seconds: np.ndarray  # duration
     speed: np.ndarray  # in the middle, m/s
     distance: np.ndarray  # m
-    energy: np.ndarray  # measured, J; of steps of speed alone 0
+    energy: np.ndarray  # measured, J; 0 in steps of speed alone
 
 
 class Counted(NamedTuple):
-    """What a drive amounts to, of admitted readings alone."""
+    """Totals of a drive, from admitted readings alone."""
 
     distance: float  # m
-    seconds: float  # of the drive in which speed was recorded
-    energy: float  # net from the battery, J, where speed is known too; NaN without a battery
-    known: float  # distance over which that was measured, m
-    measured: float  # seconds in which it was measured, or the standing car charged
-    charged: float  # energy that a charger gave the standing car, J, in no other figure
+    seconds: float  # with recorded speed
+    energy: float  # net from the battery, J, while speed is known; NaN without a battery
+    known: float  # distance with that energy measured, m
+    measured: float  # seconds with that energy measured, or the standing car charged
+    charged: float  # energy from a charger while the car stood, J; in no other figure
 
 
 def counted(drive: Drive) -> Counted:
-    """Distance and energy of a drive: the figures of every text and page."""
+    """Totals of a drive: the figures in all texts and pages."""
     moved = travelled(drive)
     steps, charging = _battery_steps(drive)
     drawn = chosen_rows(steps, ~charging)
@@ -55,7 +55,7 @@ def counted(drive: Drive) -> Counted:
 
 
 def without_lone(drive: Drive) -> tuple[Counted, int] | None:
-    """Totals without readings that leap alone, and their number; None if it changes little."""
+    """Totals without lone outliers, and the number of these; None if that changes little."""
     rows = rising(drive.speed)
     lone_speed = lone_speeds(*rows.T)
     lone = drive.lone if len(drive.lone) == len(drive.measured) else np.zeros(0, dtype=bool)
@@ -76,13 +76,13 @@ def travelled(drive: Drive) -> DrivenSteps:
 
 
 def measured_steps(drive: Drive) -> DrivenSteps:
-    """Steps between readings of the battery over which speed is known too; none that charge it."""
+    """Steps between battery readings in which speed is known, without charging."""
     steps, charging = _battery_steps(drive)
     return chosen_rows(steps, ~charging)
 
 
 def charged(drive: Drive, span: Span | None = None) -> float:
-    """Energy that the car took from a charger while it stood, J; of a part of the drive alone."""
+    """Energy from a charger while the car stood, J, in all or a part of the drive."""
     steps, charging = _battery_steps(drive)
     if span is not None:
         charging &= span.holds(steps.end)
@@ -90,7 +90,7 @@ def charged(drive: Drive, span: Span | None = None) -> float:
 
 
 def _battery_steps(drive: Drive) -> tuple[DrivenSteps, np.ndarray]:
-    """Steps with speed and battery, and which of them charge the standing car, shape (n,)."""
+    """Steps with speed and battery, and a mask of those that charge the standing car, (n,)."""
     time, power = drive.measured.T
     speed, is_known = known_at(rising(drive.speed), time)
     steps = _steps(np.column_stack((time, speed)), power, is_known)
@@ -108,6 +108,6 @@ def _steps(rows: np.ndarray, power: np.ndarray, known: np.ndarray) -> DrivenStep
 
 
 def rising(rows: np.ndarray) -> np.ndarray:
-    """A series, time and value, in order of time."""
+    """A series (time and value, shape (n, 2)) in order of time."""
     sorted_rows: np.ndarray = rows[np.argsort(rows[:, 0], kind="stable")]
     return sorted_rows

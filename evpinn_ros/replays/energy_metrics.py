@@ -1,4 +1,4 @@
-"""Energies as metrics, in units for people: the breakdown of a drive, the account of a car."""
+"""Energies as metrics in units for people: breakdown of a drive, account of a car."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Events of a drive that a person should know when reading its curves."""
+"""Events of a drive that explain its curves."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class EventKind(str, Enum):
 
 
 class Event(NamedTuple):
-    """Something that happened at a time, s since the first reading."""
+    """An event at a time, s since the first reading."""
 
     time: float
     kind: EventKind
@@ -41,7 +41,7 @@ class Event(NamedTuple):
 
 
 def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event]:
-    """The events of a drive in order; the battery withheld from a time on, s, is one."""
+    """The events of a drive in order; one is the time, s, from which the battery is withheld."""
     events = [*_gaps(drive), *_resets(drive), *_payloads(drive), *_signal_faults(drive.detections)]
     if withheld_from is not None and withheld_from < drive.duration:
         text = "From here on the battery was hidden from the estimator."
@@ -62,7 +62,7 @@ def _gaps(drive: Drive) -> Iterator[Event]:
 
 
 def _resets(drive: Drive) -> Iterator[Event]:
-    times = drive.speed[:, 0]  # of a recording of the nodes they still go back
+    times = drive.speed[:, 0]  # in a recording of the nodes they may still go back
     steps = np.diff(times)
     recorded = ((times[i + 1], -steps[i]) for i in np.flatnonzero(steps < -CLOCK_STEP))
     for time, back in (*drive.jumps, *recorded):
@@ -71,7 +71,7 @@ def _resets(drive: Drive) -> Iterator[Event]:
 
 
 def _payloads(drive: Drive) -> Iterator[Event]:
-    """The change of payload of each drive, as it was reported last."""
+    """The last reported change of payload of each drive."""
     changes = (detection.report.payload_change for detection in drive.detections)
     last = {change.stamp_ns: change for change in changes if change is not None}
     for stamp_ns, change in last.items():

@@ -1,4 +1,4 @@
-"""Forecast against outcome: parts of a drive as plans, by the car as it was known before each."""
+"""Compares forecasts with outcomes: parts of a drive as plans, by the model before each part."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from evpinn_ros.replays.driven import charged
 from evpinn_ros.replays.history import Drive, KnownModel
 from evpinn_ros.replays.scoring import Span, longest_step, measured_energy
 
-SHORTEST = 30.0  # s of a part of a drive that is worth a forecast
+SHORTEST = 30.0  # s, shortest part of a drive with a forecast
 
 
 class ForecastOutcome(NamedTuple):
-    """A part of a drive: energy measured, and as it was forecast at its begin, J."""
+    """A part of a drive: measured energy, and the forecast at its start, J."""
 
     span: Span
     measured: float
@@ -31,12 +31,12 @@ class ForecastOutcome(NamedTuple):
 
     @property
     def covered(self) -> bool:
-        """True if the 90 % band of the forecast holds what was measured."""
+        """True if the 90 % band of the forecast contains the measured energy."""
         return abs(self.forecast - self.measured) <= GAUSSIAN_QUANTILE * self.sigma
 
 
 def forecast_outcomes(drive: Drive) -> list[ForecastOutcome]:
-    """The drive from model to model, each part forecast by the model of its begin."""
+    """Outcomes of the parts of a drive between models, each forecast by the model at its start."""
     ends = [*(known.time for known in drive.models), drive.duration][1:]
     outcomes = (
         forecast_outcome(drive, known, end) for known, end in zip(drive.models, ends, strict=False)
@@ -45,7 +45,7 @@ def forecast_outcomes(drive: Drive) -> list[ForecastOutcome]:
 
 
 def forecast_outcome(drive: Drive, known: KnownModel, end: float) -> ForecastOutcome | None:
-    """The drive up to `end`, s, forecast as a plan; None if short, charged or with gaps."""
+    """The drive from a model up to `end`, s, as a plan; None if short, charged or with gaps."""
     span = Span(known.time, end)
     speed = _inside(drive.speed, span)
     battery = _inside(drive.measured, span)
@@ -67,7 +67,7 @@ def forecast_outcome(drive: Drive, known: KnownModel, end: float) -> ForecastOut
 def known_model(
     car: CarModel | None, parameters: ParameterSet | None, vehicle: Vehicle
 ) -> PowerModel:
-    """The best model there is: of the learner, of its parameters, of the vehicle file."""
+    """The best available model: of the learner, of its parameters, or of the vehicle file."""
     if car is not None:
         return PowerModel(car)
     if parameters is None:

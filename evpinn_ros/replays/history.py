@@ -1,4 +1,4 @@
-"""Record of a replay: time series to score and to draw."""
+"""Record of a replay: time series for scores and charts."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES
 from evpinn_ros.logs.signal import leaps
 from evpinn_ros.replays.chain import ChainOutput
 
-BEYOND = 8.0  # sigmas of what sag leaves of the voltage
-FOLLOWS = 0.5  # of a voltage at most so much is left by sag, or it tells nothing of the current
-# Where voltage and current are not of one moment, as of many dongles, many readings are far away:
-MOST, NEAR = 0.9, 2.5  # so many are within so many sigmas, or nothing is told.
-FEW = 30  # readings that tell nothing
-BESIDE = 7  # readings whose median a lone one is compared with
-AT_ONCE = 10_000  # medians
+BEYOND = 8.0  # sigmas of the open-circuit voltage from its median
+FOLLOWS = 0.5  # largest share of changes of voltage that current does not explain
+# If voltage and current are not simultaneous, as from many dongles, many readings are outliers:
+MOST, NEAR = 0.9, 2.5  # this share must be within so many sigmas, or no reading is lone
+FEW = 30  # readings that are too few
+BESIDE = 7  # readings whose median is compared with a lone one
+AT_ONCE = 10_000  # medians computed together
 
 
 def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """Mask of readings of the battery that leap alone; all of shape (n,), in order of time."""
+    """Mask of lone outliers of the battery; all of shape (n,), in order of time, V and A."""
     none = np.zeros(len(voltage), dtype=bool)
     volts, amperes = np.diff(voltage), np.diff(current)
     large = np.abs(amperes) > np.median(np.abs(amperes)) if len(voltage) > FEW else none
@@ -60,7 +60,7 @@ def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
     open_circuit = voltage - resistance * current
     around = np.pad(open_circuit, BESIDE // 2, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(around, BESIDE)
-    parts = range(0, len(windows), AT_ONCE)  # each is copied
+    parts = range(0, len(windows), AT_ONCE)  # each part is copied
     median = np.concatenate([np.median(windows[i : i + AT_ONCE], axis=1) for i in parts])
     away = np.abs(open_circuit - median)
     sigma = _sigma(away)
@@ -68,7 +68,7 @@ def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
 
 
 def lone_speeds(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Mask of speeds that leap there and back; both of shape (n,), in order of time."""
+    """Mask of speeds that leap up and back; time, s, and m/s of shape (n,), in order of time."""
     leapt, change = leaps(time, speed), np.diff(speed)
     lone = np.zeros(len(time), dtype=bool)
     lone[1:-1] = leapt[1:] & leapt[:-1] & (change[1:] * change[:-1] < 0.0)
@@ -79,16 +79,16 @@ def _sigma(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values)))
 
 
-FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: a log that begins before counts from its zero
-JUMP_GAP = 60 * NANOSECONDS  # between the times before and after a jump: nothing is joined across
-MODEL_STEP = 300.0  # s between two models kept: what a forecast would have known then
+FIRST_STAMP_NS = 631_152_000 * NANOSECONDS  # 1990: stamps of an earlier log count from its start
+JUMP_GAP = 60 * NANOSECONDS  # added at a jump of time, so that nothing is joined across it
+MODEL_STEP = 300.0  # s between two kept models, for forecasts at that time
 SERIES = dict.fromkeys(("speed", "altitude", "charge", "temperature", "heating", "jumps"), 2)
 SERIES |= {"position": 3, "energy": 4}
-"""Series of a `Drive` that are kept as they come, and their columns."""
+"""Series of a `Drive` that need no conversion, and their columns."""
 
 
 class Columns:
-    """Rows of numbers that grow, in compact memory: an hour at 10 Hz is a few MB."""
+    """A growing table of numbers in compact memory: an hour at 10 Hz is a few MB."""
 
     def __init__(self, width: int) -> None:
         self._width = width
@@ -99,16 +99,16 @@ class Columns:
         self._numbers.extend(row)
 
     def extend(self, *columns: np.ndarray) -> None:
-        """Append rows as columns of the same length."""
+        """Append rows, given as columns of the same length."""
         self._numbers.frombytes(np.stack(columns, axis=1).astype(float).tobytes())
 
     def values(self) -> np.ndarray:
-        """All rows, shape (n, width), not copied: none may be added while they are in use."""
+        """All rows, shape (n, width), not copied: add no rows while the array is in use."""
         return np.asarray(self._numbers).reshape(-1, self._width)
 
 
 class PowerSeries(NamedTuple):
-    """Predictions: time since the start, s, power and 1-sigma, W, and lag, s; shape (n,) each."""
+    """Predictions: time since the start, s, power and 1-sigma, W, and lag, s, shape (n,) each."""
 
     time: np.ndarray
     power: np.ndarray
@@ -124,7 +124,7 @@ class Detection(NamedTuple):
 
 
 class KnownModel(NamedTuple):
-    """Model of the car at this time, s since the first reading."""
+    """Model of the car known at this time, s since the first reading."""
 
     time: float
     model: CarModel
@@ -132,42 +132,42 @@ class KnownModel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """The series of one replayed drive; times in s since its first reading, with `JUMP_GAP`s."""
+    """The series of one replayed drive; times in s since its first reading, plus `JUMP_GAP`s."""
 
     duration: float  # s
     speed: np.ndarray  # time and m/s, shape (n, 2)
-    measured: np.ndarray  # time and W, every sample of the battery, withheld or not, shape (n, 2)
+    measured: np.ndarray  # time and W of every battery sample, also withheld ones, shape (n, 2)
     smoothed: PowerSeries  # predictions of `power/smoothed`
     newest: PowerSeries  # predictions of `power/predicted`
-    # time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4); a peer's has
-    # no 1-sigma
+    # time, predicted and RKNN energy, J, and 1-sigma of the predicted, shape (n, 4); other methods
+    # give no 1-sigma
     energy: np.ndarray
-    parameters: Mapping[str, np.ndarray]  # by name: time, value, 1-sigma, prior share
-    final: ParameterSet | None  # the last parameters, None if there never were any
+    parameters: Mapping[str, np.ndarray]  # by name: time, value, 1-sigma, prior share, (n, 4)
+    final: ParameterSet | None  # the last parameters, None if there were none
     start_ns: int = 0  # stamp of the first reading
-    zoned: bool = True  # whether its times are UTC; else they are local ones
-    reading_notes: tuple[str, ...] = ()  # assumptions on reading the log
-    doubts: tuple[str, ...] = ()  # why the totals that the log gives are not certain
-    stops_s: float = 0.0  # s of the duration between short drives that are one trip
+    zoned: bool = True  # True if its times are UTC, False if local
+    reading_notes: tuple[str, ...] = ()  # assumptions made in reading the log
+    doubts: tuple[str, ...] = ()  # why its totals are not certain
+    stops_s: float = 0.0  # s of stops between short drives of one trip
     altitude: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # time and m
     # time, latitude and longitude, degrees, shape (n, 3)
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     # time and state of charge, 0..1, shape (n, 2)
     charge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
-    # time and degrees Celsius of the air outside, shape (n, 2)
+    # time and temperature of the outside air, degrees Celsius, shape (n, 2)
     temperature: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
-    # time and W of heating that the car reports, shape (n, 2)
+    # time and power of heating reported by the car, W, shape (n, 2)
     heating: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
-    # for each identifiable combination time, value, 1-sigma, shape (n, 3)
+    # of each identifiable combination: time, value, 1-sigma, shape (n, 3)
     combinations: Mapping[str, np.ndarray] = field(default_factory=dict)
-    detections: tuple[Detection, ...] = ()  # those of the learner, whenever they changed
-    models: tuple[KnownModel, ...] = ()  # the car as known at about every `MODEL_STEP`
-    model: CarModel | None = None  # the car as known at the end, None where nothing gives one
-    # time, and s by which it went back there, shape (n, 2)
+    detections: tuple[Detection, ...] = ()  # of the learner, at each change
+    models: tuple[KnownModel, ...] = ()  # the car as known about every `MODEL_STEP`
+    model: CarModel | None = None  # the car as known at the end, or None
+    # time of each jump, and its size, s, shape (n, 2)
     jumps: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     # kWh and 1-sigma by part, as last published; empty without `add_breakdown`
     breakdown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # which of `measured` leap away from those beside them, shape (n,); or empty
+    # mask of the lone outliers in `measured`, shape (n,); or empty
     lone: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     @property
@@ -177,7 +177,7 @@ class Drive:
 
     @property
     def dated(self) -> bool:
-        """True if the log knows its day."""
+        """True if the date of the log is known."""
         without_day = 0 <= self.start_ns - DRIVE_START_NS < DAY_NS
         return self.start_ns >= FIRST_STAMP_NS and not without_day
 
@@ -205,11 +205,11 @@ class History:
         return (moments - (moments if self._start_ns is None else self._start_ns)) / NANOSECONDS
 
     def moment(self, stamps: Any) -> Any:
-        """Stamps of after the last jump of time on the one axis of time of all series."""
+        """Time, s, of stamps after the last jump, on the common axis of all series."""
         return stamps + self._offset_ns
 
     def add_jump(self, jump: Jump) -> None:
-        """Time went back before the next reading."""
+        """Take a jump of time back before the next reading."""
         self._jumped = jump
 
     def add_reading(self, reading: Reading) -> None:
@@ -217,7 +217,7 @@ class History:
         self.add_block(Block.of([reading]))
 
     def add_block(self, block: Block) -> None:
-        """Append admitted readings to their series; after a jump `JUMP_GAP` later."""
+        """Append admitted readings to their series; after a jump of time, `JUMP_GAP` later."""
         stamps = block.stamps()
         if self._start_ns is None:
             self._start_ns = self._newest_ns = int(stamps[0])
@@ -251,7 +251,7 @@ class History:
                 series["heating"].extend(time, first)
 
     def add_outputs(self, outputs: Outputs) -> None:
-        """Take what the estimator says of a block."""
+        """Take the estimator's outputs for a block."""
         for kind, (known_ns, stamps, power, sigma, *_) in outputs.powers():
             if kind in self._power:
                 lag = (known_ns - stamps) / NANOSECONDS
@@ -263,7 +263,7 @@ class History:
                 self.add_model(learned.known_ns, learned.model)
 
     def add_output(self, known_ns: int, output: ChainOutput) -> None:
-        """Take an output of the chain that the reading of a stamp completed."""
+        """Take an output of the chain, completed by the reading with stamp `known_ns`."""
         if isinstance(output, (AccountSummary, Breakdown)):
             return
         time = self.seconds(output.stamp_ns)
@@ -288,7 +288,7 @@ class History:
                 rows.add(time, value, std)
 
     def add_states(self, states: EnergyState) -> None:
-        """Take what the account counted, at each prediction."""
+        """Take states of the account, one for each prediction."""
         self._series["energy"].extend(
             self.seconds(states.stamp_ns),
             states.predicted.energy,
@@ -297,12 +297,12 @@ class History:
         )
 
     def add_detections(self, known_ns: int, report: LearnerReport) -> None:
-        """Take what the learner says of the car at a stamp, if it says something new."""
+        """Take the learner's detections at a stamp, if they changed."""
         if not self._detections or self._detections[-1].report[:4] != report[:4]:
             self._detections.append(Detection(self.seconds(known_ns), report))
 
     def add_breakdown(self, breakdown: Mapping[str, tuple[float, float]]) -> None:
-        """Take the breakdown as it is now, kWh and 1-sigma by part."""
+        """Take the present breakdown, kWh and 1-sigma by part."""
         self._breakdown = breakdown
 
     def wants_model(self, known_ns: int) -> bool:
@@ -311,17 +311,17 @@ class History:
         return not self._models or seconds - self._models[-1].time >= MODEL_STEP
 
     def add_model(self, known_ns: int, model: CarModel | None) -> None:
-        """Take the car as it is known at a stamp; a learner without such a model gives None."""
+        """Take the car model known at a stamp; None from a learner without one."""
         if model is not None:
             self._models.append(KnownModel(self.seconds(known_ns), model))
 
     @property
     def now(self) -> float:
-        """Time of the newest reading that was taken, s since the first one."""
+        """Time of the newest reading, s since the first one."""
         return 0.0 if self._start_ns is None else (self._newest_ns - self._start_ns) / NANOSECONDS
 
     def _measured(self) -> tuple[np.ndarray, np.ndarray]:
-        """Power at each reading of the current, the voltage interpolated; and which are lone."""
+        """Power at each current reading with interpolated voltage, W; and mask of lone ones."""
         voltage, current = (_in_order(c.values()) for c in (self._voltage, self._current))
         if not (len(voltage) and len(current)):
             return np.empty((0, 2)), np.empty(0, dtype=bool)
@@ -331,7 +331,7 @@ class History:
         return measured, lone_battery(volts, amperes)
 
     def drive(self, model: CarModel | None = None) -> Drive:
-        """The series so far, with the car as it is known now."""
+        """The series so far, with the present model of the car."""
         plain: dict[str, Any] = {name: rows.values() for name, rows in self._series.items()}
         measured, lone = self._measured()
         return Drive(

@@ -1,4 +1,4 @@
-"""Replay of recorded drives through the chain, as fast as it can or at a given rate."""
+"""Replay of recorded drives through the chain, as fast as possible or at a given rate."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from evpinn_ros.topics.energies import output_messages
 from evpinn_ros.topics.estimates import breakdown_messages
 from evpinn_ros.topics.readings import reading_messages
 
-WARM_UP = 120.0  # s at the start that are not scored
-BLOCK = 20_000  # readings that the chain takes at once
-PROGRESS_STEP = 1.0  # s of the drive between two reports of progress
+WARM_UP = 120.0  # s at the start without scores
+BLOCK = 20_000  # readings in a block of the chain
+PROGRESS_STEP = 1.0  # s of the drive between reports of progress
 
-Progress = Callable[[float], None]  # takes s of the drive done
+Progress = Callable[[float], None]  # takes the replayed s of the drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,10 @@ class ReplayOptions:
 
     Attributes:
         withhold_battery_after: s since the start, None to withhold nothing.
-        warm_up: s at the start that are not scored.
-        rate: of real time, None for as fast as possible.
-        start: s since the first reading, before which the drive is not read.
-        duration: s from there, after which it is not read; None for all of it.
+        warm_up: s at the start without scores.
+        rate: times real time, None for as fast as possible.
+        start: s since the first reading; earlier readings are skipped.
+        duration: s from `start` on; later readings are skipped; None for all.
     """
 
     withhold_battery_after: float | None = None
@@ -62,7 +62,7 @@ class ReplayOptions:
             raise InputError("times of a replay are s from 0 on, and its rate is above 0")
 
     def seconds_of(self, whole: float | None) -> float | None:
-        """Length of what is replayed of a drive, s; None if neither is known."""
+        """Length of the replayed part of a drive of `whole` s; None if unknown."""
         if whole is None:
             return self.duration
         rest = max(0.0, whole - self.start)
@@ -71,7 +71,7 @@ class ReplayOptions:
 
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """Result of one drive: its series, its metrics, and what could not be read, if anything."""
+    """Result of one drive: series, metrics, and the problem of its input, if any."""
 
     drive: Drive
     metrics: dict[str, Any]
@@ -89,15 +89,15 @@ def replay(
     progress: Progress | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Replayed:
-    """Run one drive through the chain, which keeps what it learned.
+    """Run one drive through the chain, which keeps its learned state.
 
-    `stopped` is asked at each block whether the drive shall end there.
+    `stopped` is called at each block; True ends the drive there.
 
     Raises:
-        InputError: the source holds no speed at all, or too few to predict from.
+        InputError: the source has no speed, or too few to predict from.
     """
     history = History()
-    # What earlier drives left is no event of this one.
+    # Ignores detections of earlier drives.
     history.add_detections(0, chain.estimator.detections())
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
@@ -164,7 +164,7 @@ def replay(
 
 
 def _too_seldom(drive: Drive) -> str:
-    """Text on how far apart the speeds are of a drive from which nothing could be predicted."""
+    """Text on the interval of speeds in a drive without any prediction."""
     steps = np.diff(drive.speed[:, 0])
     if not steps.size:
         return "there is one speed"
@@ -174,7 +174,7 @@ def _too_seldom(drive: Drive) -> str:
 def span(blocks: Iterable[Block], start: float, duration: float | None) -> Iterator[Block]:
     """The readings of a part of a drive, by their stamps: from `start` on, for `duration`, s.
 
-    Reading ends where stamps are `STRAGGLING_NS` beyond the part.
+    Reading ends at stamps `STRAGGLING_NS` after the part.
     """
     if start == 0 and duration is None:
         yield from blocks
@@ -192,7 +192,7 @@ def span(blocks: Iterable[Block], start: float, duration: float | None) -> Itera
 
 
 class _Pace:
-    """Holds a replay back to its rate, and reports its progress."""
+    """Limits a replay to its rate, and reports its progress."""
 
     def __init__(self, rate: float | None, progress: Progress | None) -> None:
         self._rate, self._progress = rate, progress
@@ -208,7 +208,7 @@ class _Pace:
 
 
 def _without_withheld(block: Block, history: History, withhold_after: float | None) -> Block:
-    """The block without the battery readings that are withheld, at the same places."""
+    """The block without the withheld battery readings; places stay the same."""
     rows = block.of_kind(BatteryReading)
     if withhold_after is None or not len(rows.order):
         return block
@@ -220,7 +220,7 @@ def _without_withheld(block: Block, history: History, withhold_after: float | No
 def _recorded(
     writer: BagWriter, block: Block, given: Block, chain: Chain, history: History
 ) -> Iterator[str]:
-    """Write readings and their outputs; gives a reason for each reading that no message holds."""
+    """Write readings and their outputs; yields the reason for each reading without a message."""
     outputs = [*chain.take_block(given, breakdowns=True)]
     place = 0
     for reading in sorted(block.readings(), key=attrgetter("stamp_ns")):
@@ -240,7 +240,7 @@ def _recorded(
 
 
 def _take_rest(chain: Chain, history: History, writer: BagWriter | None) -> None:
-    """Take what waits for more: the drive is over, or its time jumps."""
+    """Take the waiting readings at the end of a drive, or at a jump of time."""
     if writer is None:
         history.add_outputs(chain.read_rest())
         history.add_states(chain.account.flush())

@@ -1,4 +1,4 @@
-"""Scores of a replayed drive, the values of `--metrics`; each prediction preceded its sample."""
+"""Scores of a replayed drive for `--metrics`; each prediction was made before its sample."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.history import Drive, PowerSeries
 
-MAX_MEASURED_STEP = 2.5  # s; power is not known between readings further apart
-GAP_STEPS = 6.0  # nor, of slow readings, between those this many usual steps apart
-# s since the last battery reading, as `by_battery_age` names them: each from half way to the one
-# before (in logarithms) to half way to the next.
+MAX_MEASURED_STEP = 2.5  # s; power is unknown between readings further apart
+GAP_STEPS = 6.0  # for slow readings: the same in their usual steps
+# s since the last battery reading, the keys of `by_battery_age`: each extends half way (in
+# logarithms) to its neighbours.
 BATTERY_AGES = (0.1, 1.0, 10.0, 60.0, 600.0)
-BASELINE_HOLD_OUT = 0.2  # share held out in the random split
+BASELINE_HOLD_OUT = 0.2  # share of validation data in the random split
 BASELINE_SEED = 0
 FLOOR_BINS = 50  # of speed, each with at least ten predictions
 
 
 class Span(NamedTuple):
-    """Part of a drive that is scored, s since its start: after `begin`, up to `end`."""
+    """Scored part of a drive, s since its start: after `begin`, up to `end`."""
 
     begin: float
     end: float
 
     def holds(self, time: np.ndarray) -> np.ndarray:
-        """Mask of the times that lie in it."""
+        """Mask of the times within the span; shape as `time`."""
         return (time > self.begin) & (time <= self.end)
 
 
 def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, float | None]:
-    """RMSE, MAE, R2 and coverage of the 90 % bands against measured power, null if unknown."""
+    """RMSE, MAE, R2 and coverage of the 90 % bands against measured power, None if unknown."""
     chosen = scored(drive, series, span)
     if not chosen.any():
         return dict.fromkeys(("rmse_w", "mae_w", "r2", "coverage_90"))
@@ -60,7 +60,7 @@ def power_score(drive: Drive, series: PowerSeries, span: Span) -> dict[str, floa
 
 
 def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
-    """Mask of scored predictions: in the span, and measured at their moment; shape (n,)."""
+    """Mask of scored predictions: in the span, with power measured then; shape (n,)."""
     _, is_measured = known_at(drive.measured, series.time)
     chosen: np.ndarray = is_measured & span.holds(series.time)
     return chosen
@@ -69,7 +69,7 @@ def scored(drive: Drive, series: PowerSeries, span: Span) -> np.ndarray:
 def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
     """Measured, predicted and RKNN energy over the same part of the drive, J.
 
-    Without the time in which a charger gives it: no speed predicts that.
+    Charging is excluded, because no speed predicts its energy.
     """
     inside = span.holds(drive.energy[:, 0])
     keys = ("measured_j", "predicted_j", "rknn_j", "error_percent", "rknn_error_percent")
@@ -96,7 +96,7 @@ def energy_score(drive: Drive, span: Span) -> dict[str, float | None]:
 
 
 def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
-    """RMSE, W, of `last_value`, and of `interpolation` under a random split, the paper's."""
+    """RMSE, W, of `last_value`, and of `interpolation` under the paper's random split."""
     rows = drive.measured[span.holds(drive.measured[:, 0])]
     if len(rows) < 10:
         return {"last_value": None, "interpolation": None}
@@ -110,7 +110,7 @@ def baseline_scores(drive: Drive, span: Span) -> dict[str, float | None]:
 
 
 def held_scores(drive: Drive, span: Span) -> dict[float, float]:
-    """RMSE, W, of measured power held for so many seconds, by `BATTERY_AGES`."""
+    """RMSE, W, of measured power held for each of `BATTERY_AGES`, s."""
     rows = drive.measured[span.holds(drive.measured[:, 0])]
     if len(rows) < 10:
         return {}
@@ -124,10 +124,10 @@ def held_scores(drive: Drive, span: Span) -> dict[float, float]:
 
 
 def speed_floor(drive: Drive, span: Span) -> float | None:
-    """Least RMSE, W, of any function of speed alone, in hindsight; None if unknown.
+    """Least RMSE, W, that any function of speed alone can have on this drive; None if unknown.
 
-    Means in `FLOOR_BINS` bins. The newest moment's network of `mode: paper` is such a function
-    between updates.
+    It uses means in `FLOOR_BINS` bins. The network of `mode: paper` at the newest moment is such a
+    function between updates.
     """
     chosen = scored(drive, drive.smoothed, span)
     if chosen.sum() < 10 * FLOOR_BINS:
@@ -152,7 +152,7 @@ def metrics(
     wall: float,
     breakdown: Breakdown | None = None,
 ) -> dict[str, Any]:
-    """All scores of one drive under the contract's keys; JSON holds it as it is."""
+    """All scores of one drive under the contract's keys, as JSON values."""
     document: dict[str, Any] = {
         "input": {
             "path": path,
@@ -183,7 +183,7 @@ def metrics(
 def drive_scores(
     drive: Drive, warm_up: float, withheld_from: float | None = None
 ) -> dict[str, Any]:
-    """Scores of power and energy; those of a withheld part apart from what came before it."""
+    """Scores of power and energy, separately for the parts before and after withholding begins."""
     end = drive.duration if withheld_from is None else withheld_from
     scores = _part(drive, Span(warm_up, end), Span(-1.0, end))
     if withheld_from is not None:
@@ -202,7 +202,7 @@ def _part(drive: Drive, power: Span, energy: Span) -> dict[str, Any]:
 
 
 def known_at(rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A series, time and value, rising, at times, and where it has no gap; shape (n,) each."""
+    """Values of a rising series (time, value) at times, and a mask without gaps; (n,) each."""
     if len(rows) < 2:
         return np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     after = np.clip(np.searchsorted(rows[:, 0], time), 1, len(rows) - 1)
@@ -212,13 +212,13 @@ def known_at(rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def longest_step(time: np.ndarray) -> float:
-    """Time between readings, s, across which they are joined, by their usual step."""
+    """Longest time between joined readings, s, from their usual step."""
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     return max(MAX_MEASURED_STEP, GAP_STEPS * usual)
 
 
 def running_total(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Integral of a series, shape (n,), since its begin, by trapezoids; gaps add nothing."""
+    """Integral of a series since its start, by trapezoids, shape (n,); gaps add nothing."""
     steps = np.diff(time)
     used = steps * (rates[1:] + rates[:-1]) / 2 * (steps <= longest_step(time))
     return np.concatenate((np.zeros(min(len(time), 1)), np.cumsum(used)))
@@ -227,7 +227,7 @@ def running_total(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
 def battery_age_scores(
     drive: Drive, warm_up: float, withheld_from: float | None
 ) -> dict[str, dict[str, float | None]]:
-    """RMSE and bias, W, by age of the last battery reading, beside its power held."""
+    """RMSE and bias, W, by age of the last battery reading, and RMSE of its power held."""
     series, rows = drive.smoothed, drive.measured
     given = rows if withheld_from is None else rows[rows[:, 0] <= withheld_from]
     empty: dict[str, float | None] = dict.fromkeys(("rmse_w", "bias_w", "last_value_rmse_w"))
@@ -265,7 +265,7 @@ def measured_energy(drive: Drive, stretches: list[Span]) -> float:
 
 
 def whole_stretches(time: np.ndarray) -> list[Span]:
-    """Parts of a series of times, shape (n,), that have no gap."""
+    """Parts without gaps of a series of times, s, shape (n,)."""
     if len(time) < 2:
         return []
     breaks = np.flatnonzero(np.diff(time) > longest_step(time))
@@ -275,7 +275,7 @@ def whole_stretches(time: np.ndarray) -> list[Span]:
 
 
 def common_stretches(some: list[Span], others: list[Span]) -> list[Span]:
-    """Parts in which both are known."""
+    """Parts in which both series are known."""
     both = [Span(max(a.begin, b.begin), min(a.end, b.end)) for a in some for b in others]
     return [span for span in both if span.end > span.begin]
 
@@ -292,7 +292,7 @@ def parameter_metrics(final: ParameterSet | None) -> dict[str, dict[str, Any]]:
 
 
 def combination_metrics(parameter_set: ParameterSet) -> dict[str, dict[str, float]]:
-    """Combinations of parameters, which the data alone determine: value and 1-sigma."""
+    """Identifiable combinations of parameters: value and 1-sigma."""
     sums, stds = parameter_set.identifiable, parameter_set.identifiable_std
     return {
         name: {"value": float(value), "std": float(std)}

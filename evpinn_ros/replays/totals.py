@@ -1,4 +1,4 @@
-"""Totals of replayed drives, as every text and page gives them, and the battery's health."""
+"""Totals of replayed drives for all texts and pages, and the battery's state of health."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from evpinn_ros.replays.history import Drive
 
 
 def totals(drives: Sequence[Drive]) -> dict[str, Any]:
-    """Values of `--metrics` under `totals`, of one drive or of several in their order."""
+    """Values of `--metrics` under `totals`, of one or several drives in order."""
     sums = [counted(drive) for drive in drives]
     energies = [total.energy for total in sums if not math.isnan(total.energy)]
     measured_m = math.fsum(total.known for total in sums)
@@ -43,7 +43,7 @@ def totals(drives: Sequence[Drive]) -> dict[str, Any]:
 
 
 def _start(drive: Drive) -> str | None:
-    """Its first moment by ISO 8601, without a zone where the clock is local; None if undated."""
+    """Start of a drive by ISO 8601, without a zone if the clock is local; None if undated."""
     if not drive.dated:
         return None
     moment = datetime.fromtimestamp(drive.start_ns // NANOSECONDS, tz=timezone.utc)
@@ -51,7 +51,7 @@ def _start(drive: Drive) -> str | None:
 
 
 def health(gauge: ChargeGauge) -> dict[str, float | None]:
-    """Values of `--metrics` under `health`: null until a change of the charge tells them."""
+    """Values of `--metrics` under `health`: null until the charge has changed enough."""
     if not gauge.learned:
         return dict.fromkeys(("percent", "sigma_percent", "capacity_kwh", "capacity_sigma_kwh"))
     percent, spread = (100.0 * share if gauge.health.known else None for share in gauge.health)
@@ -65,14 +65,14 @@ def health(gauge: ChargeGauge) -> dict[str, float | None]:
 
 
 def with_left_out(breakdown: Mapping[str, Any], total: Mapping[str, Any]) -> dict[str, Any]:
-    """A breakdown with what the totals have and its intervals lack, kWh; null if unknown."""
+    """A breakdown with the energy that its intervals lack of the totals, kWh; null if unknown."""
     energy, measured = total["energy_kwh"], breakdown["measured"]["kwh"]
     left = None if energy is None or measured is None else energy - measured
     return {**breakdown, "left_out_kwh": left}
 
 
 def metrics_csv(drives: Sequence[Mapping[str, Any]]) -> str:
-    """The metrics of drives as a table: a row each, and one of all; columns by dotted keys."""
+    """The metrics as CSV: a row for each drive and one for all; columns have dotted keys."""
     alone = ({key: value for key, value in d.items() if key != "together"} for d in drives)
     rows = [dict(_leaves(drive)) for drive in alone]
     if (together := drives[-1].get("together")) is not None:
@@ -85,7 +85,7 @@ def metrics_csv(drives: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _leaves(metrics: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Values by the keys that lead to them; lists have no place in a row."""
+    """Yields values with their dotted keys; lists are left out."""
     for key, value in metrics.items():
         if isinstance(value, Mapping):
             yield from _leaves(value, f"{path}{key}.")

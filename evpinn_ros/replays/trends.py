@@ -15,25 +15,25 @@ from evpinn_ros.replays.driven import measured_steps
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.vehicle_fit import capacity_by_charge
 
-Group: TypeAlias = tuple[Any, str]  # what it is sorted by, and its name
-LEAST_DISTANCE = 1000.0  # m of a drive that counts
+Group: TypeAlias = tuple[Any, str]  # sort key and name
+LEAST_DISTANCE = 1000.0  # m, shortest drive that counts
 LEAST_DRIVES = 3
 BIN = 5.0  # degrees C
 CAPACITY, ROLLING = "capacity of the battery, kWh", "rolling resistance, C_rr"
 
 
 class TrendRow(NamedTuple):
-    """Drives of a week or a temperature: their mean, weighted by distance, and its spread."""
+    """Drives of a week or a temperature: mean, weighted by distance, and spread."""
 
     name: str  # of the group
-    drives: int  # how many
+    drives: int  # number of drives
     distance: float  # of all, m
     mean: float  # of the quantity
     spread: float  # of single drives, 1-sigma; 0 of one
 
 
 class Trend(NamedTuple):
-    """A quantity by groups of drives: its title, digits after the point, and a row a group."""
+    """A quantity by groups of drives: title, digits after the point, and one row per group."""
 
     title: str
     digits: int
@@ -41,14 +41,14 @@ class Trend(NamedTuple):
 
 
 class DrivePoint(NamedTuple):
-    """Quantities of one drive whose trends are shown; None where one is not known."""
+    """Quantities of one drive for trends; None if unknown."""
 
     week: str | None  # date of its Monday
     ambient_c: float | None  # mean temperature outside, degrees C
-    distance_m: float  # m with the battery measured
+    distance_m: float  # driven with the battery measured, m
     distance_energy_j: float  # energy over that distance, J
-    rolling: float | None  # C_rr, where the drive shows it
-    capacity_j: float | None  # of the battery, by charge and energy, J
+    rolling: float | None  # C_rr, if the drive determines it
+    capacity_j: float | None  # of the battery, from charge and energy, J
 
     def quantities(self, units: Units) -> dict[str, float]:
         """Known quantities by the titles of their trends."""
@@ -96,7 +96,7 @@ def trend_metrics(drives: Iterable[Drive]) -> list[dict[str, Any]]:
 
 
 def drive_point(drive: Drive) -> DrivePoint | None:
-    """The point of a drive; None of one shorter than `LEAST_DISTANCE`."""
+    """The point of a drive; None if shorter than `LEAST_DISTANCE`."""
     steps = measured_steps(drive)
     distance = float(steps.distance.sum())
     if distance < LEAST_DISTANCE:

@@ -1,4 +1,4 @@
-"""Doubt in words that a drive is of the car whose vehicle file is its prior."""
+"""Sentences that doubt whether a drive is of the car in its vehicle file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from evpinn_ros.replays.driven import charged, measured_steps
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP
 
-DOUBTFUL = 3.0  # sigmas from what the vehicle file expects
-LEAST_DISCHARGE = 0.1  # of the battery, from here on its size shows
-LEAST_MEASURED = 0.95  # of the drive with battery measured, that the energy is of
-USUAL_CAPACITY = (0.6, 1.4)  # of that of the file: age, cold, and a gauge that is not linear
+DOUBTFUL = 3.0  # sigmas from the expectation of the vehicle file
+LEAST_DISCHARGE = 0.1  # share of the battery from which on its size is known
+LEAST_MEASURED = 0.95  # share of the drive with the battery measured
+USUAL_CAPACITY = (0.6, 1.4)  # over that of the file: age, cold, and a nonlinear gauge
 MOST_RIVALS = 3
 
 
 def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
-    """Sentence on what contradicts the vehicle file, or None; a short drive is not judged."""
+    """Sentence on a contradiction of the vehicle file, or None; short drives are not checked."""
     if vehicle.key == GENERIC or drive.duration <= WARM_UP:
         return None
     reasons = [*_mass_reason(vehicle, drive), *_capacity_reason(vehicle, drive)]
@@ -34,7 +34,7 @@ def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
 
 
 def size_note(vehicle: Vehicle, drive: Drive) -> str | None:
-    """Sentence on the size that a drive was learned as; None where it is that of the file."""
+    """Sentence on the learned size of the vehicle; None if it is that of the file."""
     learned_as = vehicle if drive.model is None else drive.model.equation.vehicle
     if learned_as.relative_size == vehicle.relative_size:
         return None
@@ -59,7 +59,7 @@ def _mass_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
 
 
 def capacity_by_charge(drive: Drive) -> float | None:
-    """Capacity by a fall of the state of charge, J; None if charged, small or with gaps."""
+    """Capacity from the drop of the state of charge, J; None if charged, small or with gaps."""
     if len(drive.charge) < 2 or charged(drive):
         return None
     used = float(drive.charge[0, 1] - drive.charge[-1, 1])
@@ -80,7 +80,7 @@ def _capacity_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
 
 
 def _rivals(drive: Drive) -> Iterator[str]:
-    """Known models whose mass over eta is nearest to what was learned, the nearest first."""
+    """Known models with the nearest mass over eta to the learned one, the nearest first."""
     rows = drive.combinations.get("mass_over_eta")
     if rows is None or not len(rows):
         return

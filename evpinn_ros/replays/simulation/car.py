@@ -1,7 +1,7 @@
-"""A simulated car with more than the five parameters, so that finding these is no foregone end.
+"""A simulated car with effects beyond the five parameters, so that finding these is a real test.
 
-The estimator does not know its loss map, friction brakes, wind, changing load, tyres that roll
-harder at speed, and its inertia and air density, a little off.
+Unknown to the estimator are its loss map, friction brakes, wind, changing load, rolling resistance
+that grows with speed, and small errors of inertia and air density.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ IRON_LOSS = 0.25  # W per rad/s, hysteresis and bearings
 WINDAGE_LOSS = 3.0e-4  # W per (rad/s)^2, eddy currents, oil and air
 COPPER_LOSS = 0.04  # W per (N m)^2, windings
 MESH_LOSS = 0.08  # W per W turned over, gears and inverter switching
-STANDSTILL = 0.2  # m/s, below this the drivetrain fades out
+STANDSTILL = 0.2  # m/s, below which the losses fade out
 
 
 @dataclass(frozen=True, slots=True)
 class Drivetrain:
-    """Inverter, motor and single-speed gear as a map of loss over torque and speed."""
+    """Inverter, motor and single-speed gear as a map of losses over torque and speed."""
 
-    load_scale: float = 1.0  # multiplies the losses that come with torque, 1
+    load_scale: float = 1.0  # factor of the losses due to torque, 1
     wheel_radius: float = 0.335  # m
     gear_ratio: float = 9.0  # motor turns per wheel turn
 
     def no_load_loss(self, speed: np.ndarray) -> np.ndarray:
-        """Heat of merely turning, W, at `speed`, m/s; zero at standstill. Elementwise."""
+        """Loss without torque, W, at `speed`, m/s; zero at standstill. Elementwise."""
         turning = self.turning(speed)
         moving = np.clip(speed / STANDSTILL, 0.0, 1.0)
         return np.asarray(
@@ -50,14 +50,14 @@ class Drivetrain:
         )
 
     def load_loss(self, force: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Heat, W, of `force`, N, of either sign, at `speed`, m/s; zero at standstill."""
+        """Loss due to torque, W, at `force`, N, of either sign, and `speed`, m/s. Elementwise."""
         torque = np.abs(self.torque(force))
         moving = np.clip(speed / STANDSTILL, 0.0, 1.0)
         loss = COPPER_LOSS * torque**2 + MESH_LOSS * torque * self.turning(speed)
         return np.asarray(self.load_scale * moving * loss)
 
     def torque(self, force: np.ndarray) -> np.ndarray:
-        """Torque at the motor shaft, N m, that drives the wheels with `force`, N. Elementwise."""
+        """Torque at the motor shaft, N m, for `force`, N, at the wheels. Elementwise."""
         return np.asarray(force * (self.wheel_radius / self.gear_ratio))
 
     def turning(self, speed: np.ndarray) -> np.ndarray:
@@ -67,14 +67,14 @@ class Drivetrain:
 
 @dataclass(frozen=True, slots=True)
 class Brakes:
-    """Sharing of a demand to brake between the motor and the friction brakes."""
+    """Split of the braking force between the motor and the friction brakes."""
 
-    # share of the demand offered to the motor, 0..1; the limits come after
+    # share of the demanded force for the motor, 0..1, before its limits
     motor_share: float = 1.0
-    max_power: float = 75e3  # W at the wheels that the motor may recover
-    max_deceleration: float = 1.8  # m/s^2 that the motor may make of the car's mass
-    fade_start: float = 3.0  # m/s, below this the friction brakes begin to take over
-    fade_end: float = 1.2  # m/s, below this they do all
+    max_power: float = 75e3  # W, largest power of the motor at the wheels
+    max_deceleration: float = 1.8  # m/s^2, largest deceleration of the car by the motor
+    fade_start: float = 3.0  # m/s, below which the friction brakes begin to take over
+    fade_end: float = 1.2  # m/s, below which they do everything
 
     def motor_force(self, demand: np.ndarray, speed: np.ndarray, mass: float) -> np.ndarray:
         """Braking force of the motor, N, for a demanded force, N, both >= 0, shape (n,)."""
@@ -94,7 +94,7 @@ class Terminals(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """Open-circuit voltage that falls with the charge, behind a resistance."""
+    """An open-circuit voltage that falls with the charge, and a series resistance."""
 
     nominal_voltage: float  # V, open-circuit at half charge
     resistance: float  # ohm
@@ -102,7 +102,7 @@ class Battery:
     start: float  # state of charge at the start, 0..1
 
     def deliver(self, power: np.ndarray, step: float) -> Terminals:
-        """Deliver `power`, W at the terminals, shape (n,), for `step` s each; or InputError.
+        """Deliver `power`, W at the terminals, (n,), for `step` s each; InputError if too much.
 
         P = V I and V = V_oc - R I hold to rounding; V_oc follows the charge drawn so far.
         """
@@ -122,15 +122,15 @@ class Battery:
 
 STEP = 1 / SAMPLE_RATE
 ROLLING_SPEED = 150.0  # m/s: rolling resistance grows as 1 + (v / ROLLING_SPEED)^2
-TORQUE_GAIN_STD = 0.02  # of the torque that inverters compute from currents
+TORQUE_GAIN_STD = 0.02  # relative 1-sigma of the torque that inverters compute from currents
 CELL_RESISTANCE = 0.09  # ohm of a 350 V pack; grows with the square of the voltage
 
 
 @dataclass(frozen=True, slots=True)
 class Car:
-    """One car, with everything about it."""
+    """All properties of one simulated car."""
 
-    mass: float  # with everyone and everything in it, kg
+    mass: float  # with passengers and load, kg
     c_rr: float  # coefficient of rolling resistance near standstill
     c_d: float  # coefficient of drag
     frontal_area: float  # m^2
@@ -140,12 +140,12 @@ class Car:
     drivetrain: Drivetrain  # inverter, motor and gear
     brakes: Brakes  # motor and friction brakes
     battery: Battery  # the pack
-    torque_gain: float  # torque that the inverter reports over the true one, for it is an estimate
+    torque_gain: float  # reported over true torque: the inverter only estimates it
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """Every true signal of a drive, shape (n,), at the middle of each STEP.
+    """All true signals of a drive, shape (n,), at the middle of each STEP.
 
     `power = wheel_power + friction_power + no_load_loss + load_loss + auxiliary` and `wheel_power
     = drag_power + rolling_power + m v (g sin(grade) + factor a)` hold in every interval.
@@ -158,8 +158,8 @@ class Trace:
     drag_power: np.ndarray  # W lost to the air (negative when the wind pushes)
     rolling_power: np.ndarray  # W lost in the tyres
     friction_power: np.ndarray  # W turned to heat in the friction brakes, >= 0
-    no_load_loss: np.ndarray  # W turned to heat in the drivetrain because it turns, >= 0
-    load_loss: np.ndarray  # W turned to heat in the drivetrain because of torque, >= 0
+    no_load_loss: np.ndarray  # W of loss in the drivetrain without torque, >= 0
+    load_loss: np.ndarray  # W of loss in the drivetrain due to torque, >= 0
     auxiliary: np.ndarray  # W of auxiliary load
     power: np.ndarray  # W at the battery's terminals, voltage times current
     voltage: np.ndarray  # V at the terminals
@@ -169,7 +169,7 @@ class Trace:
 
 
 def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
-    """A random car with this mass, c_rr, c_d and p_aux; `truth.tuned` brings all to a drive."""
+    """A random car with this mass, c_rr, c_d and p_aux; `truth.tuned` then fits it to a drive."""
     capacity = vehicle.battery_capacity if vehicle.battery_capacity > 0 else 2.0e8
     return Car(
         mass=parameters.mass,
@@ -192,7 +192,7 @@ def draw_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator)
 
 
 def drive_car(car: Car, motion: IntervalMotion, around: Surroundings) -> Trace:
-    """Everything that happens while `car` moves like this."""
+    """All true signals of `car` with this motion."""
     speed = motion.speed
     drag = drag_force(speed + around.head_wind, car.frontal_area * car.c_d, car.air_density)
     rolling = rolling_force(car.mass, car.c_rr * rolling_growth(speed), motion.grade)
@@ -222,12 +222,12 @@ def drive_car(car: Car, motion: IntervalMotion, around: Surroundings) -> Trace:
 
 
 def rolling_growth(speed: np.ndarray) -> np.ndarray:
-    """Rolling resistance at a speed, m/s, over that near standstill."""
+    """Factor of rolling resistance at a speed, m/s, relative to standstill. Elementwise."""
     return 1 + (speed / ROLLING_SPEED) ** 2
 
 
 def equation_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Generator) -> Car:
-    """A car that obeys eq. 21 to the letter: what a method must find if it finds anything."""
+    """A car that obeys eq. 21 exactly: the easiest test of a method."""
     car = draw_car(vehicle, parameters, rng)
     return replace(car, air_density=vehicle.air_density, rotating_mass_factor=1.0)
 
@@ -235,7 +235,7 @@ def equation_car(vehicle: Vehicle, parameters: Parameters, rng: np.random.Genera
 def drive_equation_car(
     car: Car, parameters: Parameters, motion: IntervalMotion, form: RegenForm, beta: float
 ) -> Trace:
-    """Everything that happens while the car moves like this on a flat road."""
+    """All true signals of the car with this motion on a flat road."""
     speed, nothing = motion.speed, np.zeros_like(motion.speed)
     drag = drag_force(speed, car.frontal_area * car.c_d, car.air_density) * speed
     rolling = rolling_force(car.mass, car.c_rr) * speed

@@ -55,22 +55,22 @@ def hilly_road(rms_grade: float, rng: np.random.Generator) -> HillyRoad:
     return HillyRoad(2 * np.pi / wavelength, slope, rng.uniform(0, 2 * np.pi, HILLS))
 
 
-SAMPLE_RATE = 100  # Hz, of every true signal
+SAMPLE_RATE = 100  # Hz, of all true signals
 DRIVER_RATE = 10  # Hz, at which the driver decides
-SMOOTHING = 0.15  # s, driveline and tyres pass on no sharper change of speed
+SMOOTHING = 0.15  # s, time over which driveline and tyres smooth the speed
 LEAST_DURATION, MOST_DURATION = 10.0, 86_400.0  # s
 START_WAIT = 6.0  # s standing at the start
 
-REACTION = 0.8  # s, to close a difference of speed
+REACTION = 0.8  # s, in which the driver closes a difference of speed
 JERK = 2.0  # m/s^3, bound of the pedals' movement
-SPECIFIC_POWER = 45.0  # W/kg, what a driver asks of the car at most
+SPECIFIC_POWER = 45.0  # W/kg, most that a driver demands
 TRAFFIC_MEMORY = 8.0  # s
 TRAFFIC_SPREAD = 0.05  # relative 1-sigma of the speed that traffic allows
-FOOT_UNREST, FOOT_MEMORY = 0.15, 1.0  # m/s^2, s: no foot holds a pedal still
+FOOT_UNREST, FOOT_MEMORY = 0.15, 1.0  # m/s^2, s: noise of the pedal
 
 
 class DriveKind(str, Enum):
-    """Kind of road that the car is driven on."""
+    """Kind of road of a drive."""
 
     URBAN = "urban"
     HIGHWAY = "highway"
@@ -78,7 +78,7 @@ class DriveKind(str, Enum):
 
 
 class Leg(NamedTuple):
-    """A piece of the route: m, m/s, speed at its end m/s, s to wait there, m/s^2, m/s^2."""
+    """A leg: length, m; limit and end speed, m/s; wait at its end, s; accelerations, m/s^2."""
 
     length: float
     limit: float
@@ -90,7 +90,7 @@ class Leg(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class IntervalMotion:
-    """Motion at the middle of each interval, shape (n,), so that energies add up exactly."""
+    """Motion at the middle of each interval, shape (n,): energies add up exactly."""
 
     time: np.ndarray  # s from the start
     speed: np.ndarray  # m/s, never negative
@@ -100,7 +100,7 @@ class IntervalMotion:
 
 
 def motion_on(road: HillyRoad, speed: np.ndarray) -> IntervalMotion:
-    """The motion of a car on a road, from speeds of shape (n + 1,), m/s, at SAMPLE_RATE."""
+    """The motion on a road, shape (n,), from speeds, m/s, shape (n + 1,), at SAMPLE_RATE."""
     step = 1 / SAMPLE_RATE
     middle = (speed[1:] + speed[:-1]) / 2
     distance = np.concatenate(([0.0], np.cumsum(middle) * step))
@@ -175,20 +175,20 @@ def _leg(
     rng: np.random.Generator,
     braking: tuple[float, float] = (0.7, 1.7),
 ) -> Leg:
-    """A leg with a driver's mood: now and then the brakes are used hard."""
+    """A leg with random acceleration and braking, sometimes hard."""
     brakes = (2.6, 3.4) if rng.uniform() < 0.08 else braking
     return Leg(length, limit, end_speed, wait, rng.uniform(*brakes), rng.uniform(0.8, 2.1))
 
 
 def _moods(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Share of the limit that traffic allows and unrest of the foot, m/s^2, shape (count,)."""
+    """Share of the limit that traffic allows, and noise of the pedal, m/s^2, shape (count,)."""
     time = np.arange(count) / DRIVER_RATE
     traffic = 0.97 + TRAFFIC_SPREAD * slow_noise(time, TRAFFIC_MEMORY, rng)
     return traffic, FOOT_UNREST * slow_noise(time, FOOT_MEMORY, rng)
 
 
 def _follow(route: Iterator[Leg], traffic: np.ndarray, unrest: np.ndarray) -> np.ndarray:
-    """The driver: speed at DRIVER_RATE, m/s, shape (n,) as of `_moods`."""
+    """Speed of the driver at DRIVER_RATE, m/s, shape (n,) as of `_moods`."""
     step = 1 / DRIVER_RATE
     speeds = np.zeros(traffic.size)
     leg = next(route)

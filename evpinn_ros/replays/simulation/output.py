@@ -1,4 +1,4 @@
-"""A simulated drive on disk: the bag, the truth beside it and, if wished, the CAN log."""
+"""Writes a simulated drive: the bag, its truth and, if wanted, the CAN log."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ def write(
     can_log: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Write a drive as the bag `folder` with `truth.yaml`, whole or not at all; or InputError.
+    """Write a drive as the bag `folder` with `truth.yaml`, all or nothing; or InputError.
 
-    `can_log` is a candump log to write too; `progress` takes the seconds of the drive that are in
-    the bag.
+    `can_log` is a candump log to write too; `progress` takes the written seconds of the drive.
     """
     bag = BagWriter(folder)
     try:
@@ -47,7 +46,7 @@ def write(
 
 
 def truth_document(drive: SimulatedDrive) -> dict[str, Any]:
-    """Content of `truth.yaml`, to six digits; no estimator may read `hidden`."""
+    """Content of `truth.yaml`, to six digits; estimators must not read `hidden`."""
     truth = drive.truth
     drive_of = {
         "vehicle": drive.vehicle.key,
@@ -57,7 +56,7 @@ def truth_document(drive: SimulatedDrive) -> dict[str, Any]:
         "parameters": _plain(truth.parameters._asdict()),
     }
     if drive.equation is not None:
-        # What data tell of these parameters depends on the form; they are the definition.
+        # The data determine these parameters in a form of eq. 21; it is part of the definition.
         return {**drive_of, "definitions": f"eq. 21, regen_form {drive.equation.value}"}
     return {
         **drive_of,

@@ -1,7 +1,7 @@
-"""Sensors of a simulated car: lagging, noisy, rounded, a frame lost now and then.
+"""Sensors of a simulated car: lagging, noisy, rounded, with lost frames.
 
-As on a real car: true signal, sensor, CAN frame, decoder, reading. Each message of 10 Hz has its
-own phase.
+The path is that of a real car: true signal, sensor, CAN frame, decoder, reading. Each message of
+10 Hz has its own phase.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ SPEED_LAG, BATTERY_LAG = 0.06, 0.03  # s, time constants of the car's own filter
 SPEED_NOISE = 0.015  # m/s, 1-sigma
 VOLTAGE_NOISE = 0.15  # V
 CURRENT_NOISE = 0.4  # A
-STILL = 0.05  # m/s, below this no wheel pulse comes and the car says zero
+STILL = 0.05  # m/s, below which there is no wheel pulse and the speed is zero
 JITTER = 0.002  # s, to either side
-LOST = 0.002  # share of frames that never arrive
+LOST = 0.002  # share of lost frames
 
 MOTOR_RATE, MOTOR_LAG = 10.0, 0.02  # Hz, s
 TORQUE_STEP, MOTOR_SPEED_STEP = 0.5, 0.1  # N m, rad/s (1 rpm): resolution of the inverter's own
 
 ALTITUDE_RATE, TEMPERATURE_RATE = 1.0, 0.2  # Hz
 ALTITUDE_NOISE = 0.15  # m, of one reading
-ALTITUDE_DRIFT, ALTITUDE_DRIFT_MEMORY = 0.5, 60.0  # m, s: gusts and doors move the pressure
+ALTITUDE_DRIFT, ALTITUDE_DRIFT_MEMORY = 0.5, 60.0  # m, s: gusts and doors change the pressure
 TEMPERATURE_NOISE = 0.2  # degrees Celsius
 MICROSECOND = 1000  # ns, the resolution of a candump log
 
 
 @dataclass(frozen=True, slots=True)
 class SensorData:
-    """Frames that reached the log, in order of time, and the readings that the car made known."""
+    """Frames in the log, and the readings decoded from them; both in order of time."""
 
     frames: tuple[CanFrame, ...]
     readings: tuple[Reading, ...]
@@ -64,9 +64,9 @@ def sense(
     rng: np.random.Generator,
     motors: Sequence[MotorReading] = (),
 ) -> SensorData:
-    """Readings from the bus of a car with this profile; `motors` as they are if it has none.
+    """Readings from the bus of a car with this profile; `motors` unchanged if it has no torque.
 
-    Signals saturate. InputError: no broadcast speed or battery, or a voltage that it cannot show.
+    Signals saturate. InputError: no broadcast speed or battery, or a voltage out of its range.
     """
     try:
         sent = _sent(trace, profile, start_ns, rng)
@@ -107,7 +107,7 @@ def _sent(
 def motor_readings(
     trace: Trace, car: Car, start_ns: int, rng: np.random.Generator
 ) -> list[MotorReading]:
-    """Torque of the motor by its inverter, rounded, with a gain of its own; and speed."""
+    """Motor torque as estimated by the inverter, rounded and with an error of gain; and speed."""
     time, stamps = _moments(trace, MOTOR_RATE, start_ns, rng)
     speed = trace.motion.speed
     power = trace.wheel_power + trace.friction_power
@@ -136,7 +136,7 @@ def altitudes(trace: Trace, start_ns: int, rng: np.random.Generator) -> list[Rea
 def temperatures(
     trace: Trace, celsius: float, start_ns: int, rng: np.random.Generator
 ) -> list[Reading]:
-    """The outside thermometer on a day of `celsius` degrees."""
+    """Readings of the outside thermometer at a mean of `celsius` degrees."""
     time, stamps = _moments(trace, TEMPERATURE_RATE, start_ns, rng)
     shown = celsius + TEMPERATURE_NOISE * rng.standard_normal(time.size)
     return [TemperatureReading(*pair) for pair in zip(stamps, shown.tolist(), strict=True)]
@@ -165,7 +165,7 @@ def _batteries(trace: Trace, start_ns: int, rng: np.random.Generator) -> Iterato
 def _moments(
     trace: Trace, rate: float, start_ns: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, list[int]]:
-    """Moments of a message of this rate: s from the start, shape (n,), and stamps in ns."""
+    """Moments of a message with this rate, Hz: s from the start, shape (n,), and stamps, ns."""
     first = rng.uniform(JITTER, 1 / rate)
     time = np.arange(first, trace.motion.time[-1] - JITTER, 1 / rate)
     time = time + rng.uniform(-JITTER, JITTER, time.size)
@@ -175,7 +175,7 @@ def _moments(
 
 def _lagged(trace: Trace, signal: np.ndarray, lag: float, time: np.ndarray) -> np.ndarray:
     keep = float(np.exp(-STEP / lag))
-    # A line of Python, for importing a library of filters takes longer than this drive.
+    # Plain Python: importing a library of filters takes longer than filtering this drive.
     new = ((1 - keep) * signal[1:]).tolist()
     filtered = list(accumulate(new, lambda last, x: x + keep * last, initial=float(signal[0])))
     return np.asarray(np.interp(time, trace.motion.time, filtered))

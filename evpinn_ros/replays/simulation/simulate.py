@@ -1,4 +1,4 @@
-"""A drive with known truth, from one seed: what its sensors gave, and what really happened."""
+"""A drive with known truth, from one seed: sensor readings and true signals."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ RMS_GRADE = 0.005
 
 @dataclass(frozen=True, slots=True)
 class SimulatedDrive:
-    """A simulated drive: what its sensors said, and the truth behind it."""
+    """A simulated drive: its readings, and the truth behind them."""
 
-    vehicle: Vehicle  # the vehicle file's model, which is all an estimator may know
-    kind: DriveKind  # where it was driven
-    seed: int  # of everything drawn by chance
-    frames: tuple[CanFrame, ...]  # what reached the CAN log, in order of time
-    # what the decoder made of the frames, and the optional sensors, in order of time
+    vehicle: Vehicle  # the model in the vehicle file, all that an estimator may know
+    kind: DriveKind  # kind of road
+    seed: int  # of all random values
+    frames: tuple[CanFrame, ...]  # in the CAN log, in order of time
+    # decoded from the frames, and of the optional sensors, in order of time
     readings: tuple[Reading, ...]
-    car: Car  # the car that was driven; give it to `simulate` to drive it again
+    car: Car  # the simulated car; `simulate` can drive it again
     trace: Trace  # every true signal at 100 Hz
     truth: Truth  # the true parameters, as `truth` defines them
     # the form of eq. 21 that the car obeys, None for a car with a map of losses
@@ -82,7 +82,7 @@ def simulate(
 ) -> SimulatedDrive:
     """Drive a car; the same arguments give the same drive.
 
-    `car`: one that was driven before, or wished parameters by name, the others drawn by seed.
+    `car`: a car of an earlier drive, or wanted parameters by name; others are drawn by the seed.
     `rms_grade`: root mean square slope. `altitude`, `temperature`, `motor_torque`: whether it has
     these sensors. `equation`: it obeys eq. 21 to the letter on a flat road. InputError: an
     argument is out of range, or the vehicle or profile cannot do it.
@@ -124,7 +124,7 @@ def simulate(
 
 
 def _wish(vehicle: Vehicle, named: Mapping[str, float], rng: np.random.Generator) -> Parameters:
-    """Plausible parameters, with those that are named as named."""
+    """Random plausible parameters, with the named ones at their given values."""
     for name, value in named.items():
         if name not in LIMITS:
             raise InputError(f"no parameter '{name}'{known_names(name, LIMITS)}")

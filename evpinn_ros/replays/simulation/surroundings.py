@@ -1,4 +1,4 @@
-"""Wind and auxiliary loads of a drive, and the smooth noise that they and traffic follow."""
+"""Wind and auxiliary loads of a drive, and the smooth noise of these and of traffic."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evpinn_ros.core.signals.road import GAS_CONSTANT
 
 
 def slow_noise(time: np.ndarray, memory: float, rng: np.random.Generator) -> np.ndarray:
-    """Smooth random function of unit variance at times, s: a spline of values each `memory` s."""
+    """Smooth noise of unit variance at times, s, (n,): a spline of values every `memory` s."""
     knots = np.arange(0.0, time[-1] + 4 * memory, memory)
     return np.asarray(CubicSpline(knots, rng.standard_normal(knots.size))(time))
 

@@ -1,10 +1,9 @@
-"""The true parameters of a simulated drive, by definition, and cars that have wished ones.
+"""Definition of the true parameters of a simulated drive, and cars with given true parameters.
 
-A car with an efficiency map has no single eta. Its values are those with which eq. 21 comes
-nearest to the energy of its steps in least squares, as the estimator publishes
-(`estimation.published.project`). So losses of torque and friction brakes belong to eta and mu,
-those of an idle drivetrain to C_rr and C_d. Wind is a disturbance, mass that of the car, p_aux the
-mean auxiliary load.
+A car with an efficiency map has no single eta. Its true values are the least-squares fit of eq. 21
+to the energy of its steps, by the method of the estimator (`estimation.published.project`). So
+losses due to torque and friction brakes belong to eta and mu, losses without torque to C_rr and
+C_d. Wind is a disturbance, mass is that of the car, p_aux the mean auxiliary load.
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ from evpinn_ros.replays.simulation.drive import IntervalMotion
 from evpinn_ros.replays.simulation.surroundings import Surroundings
 
 TRUTH_STEP = 1.0  # s of a step of the definition
-ROUNDS = 3  # of tuning a car: what one wish moves of another is a hundredth of it
+ROUNDS = 3  # of tuning a car: one parameter moves another by 1 % of its own change
 PLAUSIBLE_ETA = (0.85, 0.92)
 PLAUSIBLE_MU = (0.70, 0.82)
-PLAUSIBLE_SPREAD = 1.5  # prior sigmas within which the other parameters are drawn
+PLAUSIBLE_SPREAD = 1.5  # prior sigmas, limit of the other random parameters
 
 LEAST_AUXILIARY = 50.0  # W, no car draws less
 
@@ -45,7 +44,7 @@ DEFINITIONS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """True parameters of one drive and what the data alone can determine of them."""
+    """True parameters of one drive, and their identifiable combinations."""
 
     parameters: Parameters
     identifiable: Identifiable
@@ -75,7 +74,7 @@ def combinations(
 ) -> dict[str, float]:
     """True combinations of a car by its steps' energy, J, without noise and standing load.
 
-    What the steps do not determine is that of the vehicle file.
+    Directions that the steps do not determine come from the vehicle file.
     """
     terms = np.asarray(wheels.terms)
     prior = equation.mean[PHYSICS]
@@ -96,7 +95,7 @@ def combinations(
 
 
 def _steps(car: Car, trace: Trace, equation: Equation) -> tuple[Wheels, np.ndarray, np.ndarray]:
-    """A drive in steps of `TRUTH_STEP`: prior car, s, and energy without standing load, J."""
+    """Steps of `TRUTH_STEP`: wheel terms, s, and energy without standing load, J, (n,) each."""
     count = round(TRUTH_STEP / STEP)
     motion = trace.motion
     whole = len(motion.speed) // count * count
@@ -118,18 +117,18 @@ def _steps(car: Car, trace: Trace, equation: Equation) -> tuple[Wheels, np.ndarr
 
 
 def plausible_parameters(vehicle: Vehicle, rng: np.random.Generator) -> Parameters:
-    """Parameters a real car could have: near the priors, eta and mu as of today."""
+    """Random parameters of a real car: near the priors, with eta and mu of present cars."""
     drawn = _draw(vehicle, rng, PLAUSIBLE_SPREAD)
     return drawn._replace(eta=rng.uniform(*PLAUSIBLE_ETA), mu=rng.uniform(*PLAUSIBLE_MU))
 
 
 def prior_parameters(vehicle: Vehicle, rng: np.random.Generator) -> Parameters:
-    """All six drawn from the vehicle's priors: what makes intervals testable for coverage."""
+    """All six parameters drawn from the vehicle's priors, to test the coverage of intervals."""
     return _draw(vehicle, rng, np.inf)
 
 
 def _draw(vehicle: Vehicle, rng: np.random.Generator, spread: float) -> Parameters:
-    """Normal values, drawn anew until inside the limits and within `spread` sigmas."""
+    """Normal values, drawn again until inside the limits and within `spread` sigmas."""
 
     def value(name: str) -> float:
         prior, limits = vehicle.priors[name], LIMITS[name]
@@ -149,7 +148,7 @@ def tuned(
     car = replace(car, mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY))
     for _ in range(ROUNDS):
         plain = true_values(car, drive_car(car, motion, around), equation).parameters
-        # A short drive does not determine eta, so a wish may be out of reach.
+        # A short drive does not determine eta, so the wanted value may be unreachable.
         scale = np.clip((1.0 / wish.eta - 1.0) / max(1.0 / plain.eta - 1.0, 1e-3), 0.5, 2.0)
         drivetrain = car.drivetrain
         car = replace(
@@ -164,7 +163,7 @@ def tuned(
 def _with_recovery(
     car: Car, motion: IntervalMotion, around: Surroundings, mu: float, equation: Equation
 ) -> Car:
-    """The car with the share of the motor in braking that gives this mu, or as near as it can."""
+    """The car with the motor's share of braking that gives this mu, as near as possible."""
 
     def with_share(share: float) -> Car:
         return replace(car, brakes=replace(car.brakes, motor_share=share))

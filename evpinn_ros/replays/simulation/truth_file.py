@@ -1,4 +1,4 @@
-"""The true parameters beside a simulated drive, read back."""
+"""Reads the true parameters beside a simulated drive."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TRUTH_FILE = "truth.yaml"
 
 
 def read_truth(path: Path) -> Parameters | None:
-    """True parameters beside a simulated drive's bag, None of a real one; InputError if wrong."""
+    """True parameters beside a simulated drive's bag, None for a real one; InputError if wrong."""
     file = path / TRUTH_FILE
     if not file.is_file():
         return None
