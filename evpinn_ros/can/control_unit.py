@@ -85,7 +85,7 @@ class ControlUnit:
         return sum(self.counters[kind] for kind in ANSWERS)
 
     def step(self, now_s: float, may_ask: Collection[str]) -> float:
-        """Handle a timeout, send the due request of `may_ask`; returns the time of the next step."""
+        """Handle a timeout, send a due request of `may_ask`; returns the next step's time, s."""
         if self._asked is not None and now_s >= self._deadline_s:
             self.counters["silent"] += 1
             self._finish()
