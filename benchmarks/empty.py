@@ -3,7 +3,8 @@
 All drives of a car are one road, in pieces of a kilometre. After each, the energy that the next
 10, 20 and 40 km took is what is left in the battery; the answer is compared with the road driven.
 Beside it stand that energy over what the last 10 km cost, and over what the last 100 km cost; and
-the answer along a route: what is left of this drive as a plan of legs of 500 m, at its mean
+the answer along a route: what is left of this drive as a plan of points each 500 m, which begins
+at the car's speed, as planners send it, with the mean speeds between them, at its mean
 temperature, with loads unknown. It is judged where the road ends within the drive, for no plan
 knows that the car stands overnight and is heated again.
 """
@@ -11,7 +12,7 @@ knows that the car stands overnight and is heated again.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from benchmarks.plans import intervals_of, plan_of, weather_of
 from benchmarks.unseen.drives import UnseenCar, load_car
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import forecast_plan
-from evpinn_ros.core.energy.plan import PlanError, points_of
+from evpinn_ros.core.energy.plan import Plan, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PowerModel
 from evpinn_ros.core.energy.remaining import (
     Cost,
@@ -160,12 +161,14 @@ def _along_route(pieces: list[Kilometre], index: int) -> RouteAhead | None:
     if here.cost is None or not done:
         return None
     try:
-        legs = plan_of(done, "500 m")
+        route, start = points_of(plan_of(done, "500 m")), plan_of(done, "1 s")
     except PlanError:
         return None
-    forecast = forecast_plan(legs, PowerModel(here.model), weather_of(done))
-    points = points_of(legs)
-    return Route.from_here(points, forecast, 0.0, 0).ahead(0.0, here.cost)
+    assert isinstance(start, Plan), "its speeds are those driven"
+    route = replace(route, speed=np.append(start.speed[:1], route.speed[1:]))
+    forecast = forecast_plan(route, PowerModel(here.model), weather_of(done))
+    assert forecast.curve is not None, "it is one trip"
+    return Route.from_here(forecast.curve, 0.0, 0).ahead(0.0, here.cost)
 
 
 def _errors(

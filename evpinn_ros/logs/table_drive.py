@@ -86,6 +86,7 @@ if TYPE_CHECKING:
 
 AT_ONCE = 16_384  # rows per block of a table that is not in time order
 DIGITS = re.compile(r"\d+")
+LEVEL = "elevation: all heights are alike, so the ground is assumed to be level"
 FEW_ROWS = 20_000  # rows examined if all names are ours, so that nothing is guessed
 
 Stamps = NDArray[np.int64]
@@ -195,6 +196,12 @@ class TableDrive(Source):
         return abs(int(there[-1]) - int(there[0])) / NANOSECONDS if there.size > 1 else None
 
     @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Units and signs that the data do not decide, and whether the ground is level."""
+        level = self._level and self._terrain is None
+        return (*super().assumptions, *(LEVEL,) * level)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how the table was read; complete once exhausted."""
         notes = [*self.assumptions, *self._doubts, *self._contradictions]
@@ -221,8 +228,6 @@ class TableDrive(Source):
                 )
         if self._backwards:
             notes.append("speed: all numbers are negative; their size counts")
-        if self._level and self._terrain is None:
-            notes.append("elevation: all heights are alike, so the ground is assumed to be level")
         if self._engine is not None:
             notes.append("rows in which the engine turns are not used")
         if self._in_bursts and self._long is None:

@@ -248,7 +248,7 @@ class EnergyNode(GuardedNode):
         self.publish(messages)
         self.plans.answer(answer.charge)
         if asked.together is None:  # a plan asked together with others is not followed yet
-            self.account.follow(plan, answer.forecast)
+            self.account.follow(answer.forecast.curve)
 
     def _speed(self) -> float:
         """Assumed speed of a path without times, m/s."""

@@ -56,7 +56,8 @@ def plan_of_message(
     followed = (
         path_plan(message, nominal_speed) if type_name == PATH_TYPE else trajectory_plan(message)
     )
-    return replace(followed, commanded=True)  # followed by a controller of Nav2 or Autoware
+    # Followed by a controller of Nav2 or Autoware; without a map of heights z never changes.
+    return replace(followed, commanded=True, level=False)
 
 
 def _point_count(type_name: str, data: bytes) -> int:

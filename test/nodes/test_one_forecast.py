@@ -20,6 +20,7 @@ from test.nodes.conftest import VEHICLE
 from test.nodes.plans import ANSWERS, NOW, profile
 
 TRIP = ((0, 0, 0), (20, 150, 15), (330, 4800, 15), (350, 5000, 0))
+CUT = (*TRIP[:1], (8, 24, 6), TRIP[1], (73, 945, 15), (301, 4365, 15), *TRIP[2:])
 COLD, STOOD = -5.0, 600  # degrees C, s
 
 
@@ -78,4 +79,14 @@ def test_command_python_topic_and_range_agree(bench, states, tmp_path, saved):
     # A battery that holds what the plan takes up to its middle is empty there, to the metre.
     used = float(np.interp(2400.0, by_python.distance_m, by_python.energy_j))
     ahead = node.account.route.ahead(node.account.odometer, Cost(1.0, 1.0, 0.1))
-    assert remaining(Uncertain(used, 0.0), ahead).distance == pytest.approx(2400.0, abs=1.0)
+    empty = remaining(Uncertain(used, 0.0), ahead)
+    assert empty.distance == pytest.approx(2400.0, abs=1.0)
+
+    bench.post(node, topics.SPEED_PROFILE, profile(*CUT))
+    bench.pump(lambda: len(bench.heard[topics.FORECAST]) > 1)
+    (*_, last) = bench.heard[topics.FORECAST][1].points
+    assert [*last.positions, *last.effort] == pytest.approx(
+        [*points[-1].positions, *points[-1].effort], rel=1e-9
+    )
+    ahead = node.account.route.ahead(node.account.odometer, Cost(1.0, 1.0, 0.1))
+    assert remaining(Uncertain(used, 0.0), ahead) == pytest.approx(empty, rel=1e-9)

@@ -82,6 +82,27 @@ def service(bench, node):
     assert answer.basis == "estimate/model" and answer.conditions == ["payload"]
 
 
+def cuts(bench, node):
+    """A plan with points between its points takes the same, by the service and by the action."""
+    time_s = np.union1d([0.0, 100.0, 200.0], np.random.default_rng(1).uniform(0.0, 200.0, 40))
+    speed, columns = 15.0, {"time": time_s.tolist(), "distance": (15.0 * time_s).tolist()}
+    finer = Plan(name="finer", speed=[speed] * len(time_s), **columns)
+    asked = [plan("whole", speed), finer]
+    answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=asked)
+    client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
+    bench.pump(client.server_is_ready)
+    goal = client.send_goal_async(EstimatePlans.Goal(plans=asked))
+    bench.pump(goal.done)
+    result = goal.result().get_result_async()
+    bench.pump(result.done)
+    client.destroy()
+    for whole, cut in (answer.results, result.result().result.results):
+        assert not whole.refusal and not cut.refusal
+        assert math.isclose(cut.energy, whole.energy, rel_tol=1e-9)
+        assert math.isclose(cut.energy_sigma, whole.energy_sigma, rel_tol=1e-9)
+        assert abs(cut.more[0]) < 1e-9 * whole.energy
+
+
 def conditions(bench, node):
     """Conditions of a call are those of `plan/conditions`, where both are given before them."""
     name, given = "/ev/energy/estimate_plan", {"temperature": -10.0, "payload": 200.0}
@@ -274,7 +295,7 @@ def test_typed_and_standard_topics_are_equal_and_plans_are_compared(bench, urban
         lambda: all(node.received[model] == estimator.published[model] for model in learned)
     )
     bench.stop(estimator)  # else it may tell a new model between two calls that are compared
-    for check in (service, conditions, batches, energy_goes_on_beside_plans, refusals):
+    for check in (service, cuts, conditions, batches, energy_goes_on_beside_plans, refusals):
         check(bench, node)
 
 

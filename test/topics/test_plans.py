@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
-from evpinn_ros.core.energy.plan import MAX_POINTS, PlanError
+from evpinn_ros.core.energy.battery_model import BatteryModel
+from evpinn_ros.core.energy.charge import Uncertain
+from evpinn_ros.core.energy.forecaster import Forecaster
+from evpinn_ros.core.energy.plan import MAX_POINTS, PlanError, sums
+from evpinn_ros.core.energy.remaining import Cost, Route, remaining
+from evpinn_ros.core.signals.readings import NANOSECONDS
+from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.topics import PATH_TYPE, TRAJECTORY_TYPE
 from evpinn_ros.topics.messages import header
 from evpinn_ros.topics.plans import forecast_message, plan_of_message
@@ -110,6 +116,74 @@ def test_rclpy_reads_what_rosbags_reads():
         assert factory.decode("std_msgs/msg/Header", data).stamp.nanosec == NOW % 10**9
         with pytest.raises(PlanError, match="damaged"):
             plan_of_message(kind, data[:-40], factory.decode)
+
+
+def stamped(time, along, up):
+    """A path straight on, its poses stamped, ns."""
+    poses = [
+        new_message(
+            "geometry_msgs/msg/PoseStamped",
+            header=header(new_message, NOW + t, "map"),
+            pose=new_message(
+                "geometry_msgs/msg/Pose",
+                position=new_message("geometry_msgs/msg/Point", x=x, y=-3.0, z=z),
+            ),
+        )
+        for t, x, z in zip(time.tolist(), along.tolist(), up.tolist(), strict=True)
+    ]
+    return new_message(PATH_TYPE, header=header(new_message, NOW, "map"), poses=poses)
+
+
+def timed(time, *columns):
+    """A profile of time, ns, distance, height and speed."""
+    points = [
+        new_message(
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            positions=[distance, height],
+            velocities=[speed, 0.0],
+            time_from_start=new_message(
+                "builtin_interfaces/msg/Duration", sec=t // NANOSECONDS, nanosec=t % NANOSECONDS
+            ),
+        )
+        for t, distance, height, speed in zip(
+            time.tolist(), *(column.tolist() for column in columns), strict=True
+        )
+    ]
+    names = ["distance", "elevation"]
+    head = header(new_message, NOW, "map")
+    return new_message(TRAJECTORY_TYPE, header=head, joint_names=names, points=points)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", [PATH_TYPE, TRAJECTORY_TYPE])
+def test_a_plan_cut_at_random_takes_the_same(kind, seed):
+    """So the topic, the service and the action answer; and it is empty at the same place."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 7))
+    corners = sums(rng.integers(30, 900, count)).astype(np.int64) * NANOSECONDS
+    cuts = rng.integers(0, corners[-1], (1, 5, 60, 600)[seed])
+    speed, slope = rng.uniform(4.0, 33.0, count + 1), rng.uniform(-0.04, 0.04, count)
+    ends = sums((speed[1:] + speed[:-1]) / 2.0 * np.diff(corners) / NANOSECONDS)
+    heights, level = sums(slope * np.diff(ends)), sums(np.sqrt(1.0 - slope**2) * np.diff(ends))
+    forecaster, answers = Forecaster(load_vehicle("bmw_i3")), []
+    for time in (corners, np.union1d(corners, cuts)):
+        leg = np.clip(np.searchsorted(corners, time, "right") - 1, 0, count - 1)
+        fast = np.interp(time, corners, speed)
+        way = ends[leg] + (speed[leg] + fast) / 2.0 * (time - corners[leg]) / NANOSECONDS
+        if kind == PATH_TYPE:
+            message = stamped(time, *(np.interp(time, corners, at) for at in (level, heights)))
+        else:
+            message = timed(time, way, np.interp(way, ends, heights), fast)
+        plan = plan_of_message(kind, encode(message), decode)
+        assert len(plan.time) == len(time)
+        charge, capacity = Uncertain(0.5, 0.01), Uncertain(40e6, 1e6)
+        answer = forecaster.answer(plan, charge, capacity, 0, BatteryModel(40e6))
+        result, curve = answer.forecast, answer.forecast.curve
+        route = Route.from_here(curve, 0.0, 0).ahead(0.0, Cost(500.0, 500.0, 0.1))
+        half = Uncertain(0.5 * float(curve.energy.max()), 1e5)
+        ends_of = result.time[-1], result.energy[-1], result.sigma[-1], curve.distance[-1]
+        answers.append([*ends_of, *answer.charge, answer.voltage, *remaining(half, route)])
+    assert answers[1] == pytest.approx(answers[0], rel=1e-9, abs=1e-9, nan_ok=True)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.energy.battery_model import BatteryModel, SavedBattery
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.core.energy.dropout import Dropout, Reconciled, Verdict, reconcile
-from evpinn_ros.core.energy.forecast import Forecast
+from evpinn_ros.core.energy.forecast import EnergyCurve
 from evpinn_ros.core.energy.meter import (
     NO_STATES,
     EnergyMeter,
@@ -28,7 +28,6 @@ from evpinn_ros.core.energy.meter import (
     MeterCourse,
     SavedMeter,
 )
-from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.plausible import MOST_ENERGY, Joules, Metres, Seconds
 from evpinn_ros.core.energy.remaining import (
     SHORTEST,
@@ -563,13 +562,13 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Distance since the first start, m."""
         return self._before_reset.distance + self.trip.total.distance
 
-    def follow(self, plan: Plan, forecast: Forecast) -> None:
-        """Take a plan as the route that the car follows from here on.
+    def follow(self, curve: EnergyCurve | None) -> None:
+        """Take the plan of a forecast as the route that the car follows from here on.
 
         A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
         """
-        if plan.distance[-1] - plan.distance[0] >= SHORTEST:
-            self.route = Route.from_here(plan, forecast, self.odometer, self._newest_ns)
+        if curve is not None and curve.distance[-1] >= SHORTEST:
+            self.route = Route.from_here(curve, self.odometer, self._newest_ns)
 
     def lifetime(self) -> EnergyTotals:
         """Totals since the first start."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.core.energy.plan import Legs, Plan, sums, telling
+from evpinn_ros.core.energy.plan import Legs, Plan, beside_line, sums, telling
 from evpinn_ros.core.estimation.even import PIECE_SECONDS, Path, air_of, even_course
 from evpinn_ros.core.estimation.unevenness import Runs, runs_along
 from evpinn_ros.core.signals.interval import Steps
@@ -96,7 +96,7 @@ def _of_points(
     between = drag(middle, (wind[1:] + wind[:-1]) / 2.0)
     air = (drag(start, wind[:-1]) + 4.0 * between + drag(end, wind[1:])) * duration / 6.0
     steps = Steps(duration, length, air, (end**2 - start**2) / 2.0, np.diff(height))
-    unknown = length * (np.ptp(plan.elevation) == 0.0)
+    unknown = length * (np.ptp(plan.elevation) == 0.0 and not plan.level)
     return Course(time, distance, steps, unknown, line, runs)
 
 
@@ -105,28 +105,15 @@ def _telling(plan: Plan) -> np.ndarray:
     small, rounding = ON_A_LINE
     time, distance, speed, height = plan.time, plan.distance, plan.speed, plan.elevation
 
-    def even(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, ...]:
-        share = (time[here] - time[start]) / (time[end] - time[start])
-        return share, speed[start] + share * (speed[end] - speed[start])
-
-    def faster(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        _, line = even(here, start, end)
-        return np.asarray(np.abs(speed[here] - line) / (small * (1.0 + speed[here])))
-
     def farther(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        share, line = even(here, start, end)
-        whole = speed[start] + speed[end]
+        share = (time[here] - time[start]) / (time[end] - time[start])
+        line, whole = speed[start] + share * (speed[end] - speed[start]), speed[start] + speed[end]
         np.divide((speed[start] + line) * share, whole, out=share, where=whole > 0.0)
         way = share * (distance[end] - distance[start])
         return np.asarray(np.abs(distance[here] - distance[start] - way) / rounding)
 
-    def higher(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        share, _ = even(here, start, end)
-        way, whole = distance[here] - distance[start], distance[end] - distance[start]
-        np.divide(way, whole, out=share, where=whole > 0.0)
-        climb = share * (height[end] - height[start])
-        return np.asarray(np.abs(height[here] - height[start] - climb) / rounding)
-
+    faster = beside_line(time, speed, small * (1.0 + speed))
+    higher = beside_line(distance, height, rounding)
     return telling(len(time), faster, farther, higher)
 
 

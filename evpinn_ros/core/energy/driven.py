@@ -6,7 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from evpinn_ros.core.energy.plan import Plan, plan_from_speed_profile, telling, travelled
+from evpinn_ros.core.energy.plan import (
+    Plan,
+    beside_line,
+    plan_from_speed_profile,
+    telling,
+    travelled,
+)
 
 PLAN_STEP = 1.0  # s between points of a plan
 COARSE = 5.0  # s between speeds, above which speed varies between them
@@ -24,7 +30,7 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
 
     Args:
         speed: time, s, rising, and m/s, shape (n, 2), some seconds long.
-        altitude: time, s, and m, shape (m, 2); empty for a flat road.
+        altitude: time, s, and m, shape (m, 2); empty, or always the same, if not known.
     """
     time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
     rough = float(np.median(np.diff(time))) > COARSE
@@ -33,7 +39,7 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     grid = time if rough else np.append(steps, time[-1])
     at = np.maximum(np.interp(grid, time, speeds), 0.0)
     height = None
-    if len(altitude):
+    if len(altitude) and np.ptp(altitude[:, 1]):
         seen = np.interp(altitude[:, 0] - speed[0, 0], time, travelled(time, speeds))
         height = road_height(seen, altitude[:, 1], travelled(grid, at))
     return replace(plan_from_speed_profile(grid, None, at, height), commanded=not rough)
@@ -46,13 +52,8 @@ def is_trace(time: np.ndarray, column: np.ndarray) -> bool:
         time: s, rising, shape (n,).
         column: speeds, m/s, or distances, m, there; rows on the line between others say nothing.
     """
-
-    def away(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        share = (time[here] - time[start]) / (time[end] - time[start])
-        line = column[start] + share * (column[end] - column[start])
-        return np.asarray(np.abs(column[here] - line) / ON_A_LINE)
-
-    return float(np.median(np.diff(time[telling(len(time), away)]))) <= COARSE
+    told = telling(len(time), beside_line(time, column, ON_A_LINE))
+    return float(np.median(np.diff(time[told]))) <= COARSE
 
 
 def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> np.ndarray:

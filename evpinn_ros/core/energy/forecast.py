@@ -10,7 +10,7 @@ hills.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any, NamedTuple
 
@@ -363,9 +363,10 @@ def forecast_plan(
     """
     points = points_of(plan)
     if points.time.ndim > 1:
-        asked = model, weather, head_wind, wind_length, is_steady(points, steady)
+        asked = model, weather, head_wind, wind_length, steady
         columns = zip(*(getattr(points, name) for name in COLUMNS), strict=True)
-        trips = [forecast_plan(Plan(*rows), *asked) for rows in columns]
+        rows = (dict(zip(COLUMNS, row, strict=True)) for row in columns)
+        trips = [forecast_plan(replace(points, **row), *asked) for row in rows]
         time, energy, power, sigma = (
             np.stack([getattr(trip, name) for trip in trips])
             for name in ("time", "energy", "power", "sigma")

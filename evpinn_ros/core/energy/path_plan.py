@@ -15,6 +15,7 @@ from evpinn_ros.core.energy.plan import (
     Plan,
     PlanError,
     as_floats,
+    beside_line,
     check_arrays,
     check_size,
     refuse,
@@ -107,15 +108,7 @@ def _stamped_plan(time: np.ndarray, distance: np.ndarray, elevation: np.ndarray)
 
 def _telling(along: np.ndarray, *columns: np.ndarray) -> np.ndarray:
     """True for points off the straight line, by `along`, between others, shape (n,)."""
-    rows = np.stack(columns)
-
-    def away(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        whole = along[end] - along[start]
-        share = np.divide(along[here] - along[start], whole, out=0.0 * whole, where=whole > 0.0)
-        line = rows[:, start] + share * (rows[:, end] - rows[:, start])
-        return np.asarray(np.abs(rows[:, here] - line).max(0) / ON_A_LINE)
-
-    return telling(len(along), away)
+    return telling(len(along), *(beside_line(along, column, ON_A_LINE) for column in columns))
 
 
 def monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -55,6 +55,8 @@ class Plan:
         elevation: same shape, m.
         commanded: True if a controller follows the plan, so that speed is a straight line between
             any two points; otherwise uneven speed between them is expected.
+        level: True if a constant elevation says that the road is level; otherwise it says that the
+            heights are not known.
 
     Raises:
         PlanError: the arrays are no trip.
@@ -65,6 +67,7 @@ class Plan:
     speed: np.ndarray
     elevation: np.ndarray
     commanded: bool = False
+    level: bool = False
 
     def __post_init__(self) -> None:
         check_arrays({name: getattr(self, name) for name in COLUMNS})
@@ -219,8 +222,8 @@ def plan_from_speed_profile(
 ) -> Plan:
     """A plan from a speed profile: time, s, distance, m, and speed, m/s, each of shape (n,).
 
-    Without distance it follows from the speeds; without elevation, m, the road is flat. Time and
-    distance are counted from the first point.
+    Without distance it follows from the speeds; without elevation, m, heights are not known. Time
+    and distance are counted from the first point.
 
     Raises:
         PlanError: the profile is invalid, or its speeds make `UNITS_APART` times its distance.
@@ -238,7 +241,8 @@ def plan_from_speed_profile(
                 f"its speeds make {made[-1]:.0f} m, its distance is {length:.0f} m; both in SI "
                 "units?"
             )
-    return Plan(time - time[:1], distance - distance[:1], speed, height)
+    level = elevation is not None
+    return Plan(time - time[:1], distance - distance[:1], speed, height, level=level)
 
 
 def travelled(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
@@ -274,6 +278,19 @@ def telling(count: int, *measures: Measure) -> np.ndarray:
                 missed = missed[np.unique(line[missed], return_index=True)[1]]
             told[others[missed]] = True
     return told
+
+
+def beside_line(along: np.ndarray, column: np.ndarray, tolerance: np.ndarray | float) -> Measure:
+    """Distance of a column of points from the line between two others, by where they are along."""
+    allowed = np.broadcast_to(tolerance, along.shape)
+
+    def away(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        whole = along[end] - along[start]
+        share = np.divide(along[here] - along[start], whole, out=0.0 * whole, where=whole > 0.0)
+        line = column[start] + share * (column[end] - column[start])
+        return np.asarray(np.abs(column[here] - line) / allowed[here])
+
+    return away
 
 
 def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:

@@ -31,8 +31,7 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.energy.charge import Uncertain
-from evpinn_ros.core.energy.forecast import Forecast
-from evpinn_ros.core.energy.plan import Plan
+from evpinn_ros.core.energy.forecast import EnergyCurve
 from evpinn_ros.core.energy.plausible import Joules, Metres
 from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps
 from evpinn_ros.core.energy.trip import Stretch
@@ -118,7 +117,7 @@ class Route:
     """A route that the car follows, with the forecast of its plan; it survives a restart.
 
     Attributes:
-        distance: of its points from the first, m, never falling, n of them.
+        distance: of points of its curve from the first, m, never falling, n of them.
         energy: from the first point to each, J.
         sigma: 1-sigma of that, J.
         begin: the odometer at its first point, m.
@@ -143,15 +142,15 @@ class Route:
             raise ValueError("no such route: its distance falls, or a sigma is negative")
 
     @classmethod
-    def from_here(cls, plan: Plan, forecast: Forecast, odometer: float, stamp_ns: int) -> Route:
+    def from_here(cls, curve: EnergyCurve, odometer: float, stamp_ns: int) -> Route:
         """The route of a plan that begins now, where the car is; stamp_ns: 0 if unknown yet."""
-        longest = int(GIVEN_UP * (forecast.time[-1] - forecast.time[0]) * NANOSECONDS)
-        along, energy, sigma = plan.distance - plan.distance[0], forecast.energy, forecast.sigma
+        time, along, energy, sigma = curve
         if len(along) > MOST_POINTS:
             kept = np.linspace(0.0, along[-1], MOST_POINTS)
             energy, sigma = (np.interp(kept, along, series) for series in (energy, sigma))
             along = kept
         distance, energies, sigmas = (tuple(series.tolist()) for series in (along, energy, sigma))
+        longest = int(GIVEN_UP * time[-1] * NANOSECONDS)
         return cls(distance, energies, sigmas, odometer, stamp_ns, longest)
 
     @property

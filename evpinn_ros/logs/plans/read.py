@@ -191,7 +191,7 @@ def plan_of_readings(readings: Iterable[Reading], *, recorded: bool = True) -> P
     elif len(grade):
         slope = np.sin(np.interp(time, *grade.T))
         altitude = np.column_stack((time, travelled(time, speed[:, 1] * slope)))
-    plan = drive_plan(speed, altitude)
+    plan = replace(drive_plan(speed, altitude), level=len(grade) > 0)
     if recorded or plan.commanded or not len(altitude):
         return plan
     return replace(plan, elevation=np.interp(plan.time, *altitude.T))  # no receiver's: exact

@@ -29,6 +29,7 @@ from evpinn_ros.core.energy.plan import (
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of, to_floats
 from evpinn_ros.logs.quantities import ANGLES, score, unit_of, words_of
 from evpinn_ros.logs.survey import data_rows, find_head
+from evpinn_ros.logs.table_drive import LEVEL
 from evpinn_ros.logs.text_table import TextTable
 from evpinn_ros.logs.values import in_fractions
 
@@ -75,7 +76,7 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
             length = np.diff(plan.distance)
             grade = (profile["grade"][1:] + profile["grade"][:-1]) / 2.0
             warnings.warn(CYCLE, stacklevel=3)
-            plan = replace(plan, elevation=sums(_climb(length, grade)), commanded=True)
+            plan = replace(plan, elevation=sums(_climb(length, grade)), commanded=True, level=True)
         return plan
     if columns := leg_columns(names):
         warn_of_unused(names, (name for name, _ in columns.values()))
@@ -197,6 +198,9 @@ def _in_si(
         numbers["grade"] *= _grade_unit(columns["grade"][0], numbers["grade"])
     if "incline" in numbers:
         numbers["grade"] = np.tan(numbers.pop("incline"))
+    heights = numbers.get("elevation", numbers.get("end", np.empty(0)))
+    if len(heights) > 1 and np.ptp(heights) == 0.0:
+        warnings.warn(LEVEL, stacklevel=4)
     if len({len(column) for column in numbers.values()}) > 1:
         lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
         raise InputError(f"the columns have different numbers of rows: {lengths}")

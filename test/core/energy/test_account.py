@@ -7,9 +7,8 @@ import pytest
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.dropout import Verdict
-from evpinn_ros.core.energy.forecast import Forecast
+from evpinn_ros.core.energy.forecast import EnergyCurve
 from evpinn_ros.core.energy.meter import EnergyMeter
-from evpinn_ros.core.energy.plan import Plan
 from evpinn_ros.core.energy.rknn import Rknn
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import MAX_SPEED, BatteryReading, SpeedReading
@@ -159,10 +158,9 @@ def test_usual_legs_count_in_the_distance_to_empty_once_there_is_a_long_run():
 
 def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
     time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
-    plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
     energy = np.array([0.0, 1e6, 12e6])  # twice as much as usual
     planned, usual = account(), account()
-    planned.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
+    planned.follow(EnergyCurve(time, length, energy, 0.1 * energy))
     start = drive(planned, range(40)).summary()
     assert drive(usual, range(40)).summary().remaining is None
     assert start.remaining.distance == pytest.approx(start.usable.value / 1e3, abs=3.0)
@@ -174,10 +172,9 @@ def test_a_route_planned_before_setting_off_is_followed_until_it_is_driven():
 
 
 def horizon(power, seconds=8.0, count=81):
-    """A plan of some seconds at `SPEED` and its forecast at a constant power, W."""
+    """A plan of some seconds at `SPEED`, forecast at a constant power, W."""
     time = np.linspace(0.0, seconds, count)
-    plan = Plan(time, SPEED * time, np.full(count, SPEED), np.zeros(count))
-    return plan, Forecast(time, power * time, np.full(count, power), np.full(count, 1e3))
+    return EnergyCurve(time, SPEED * time, power * time, np.full(count, 1e3))
 
 
 @pytest.mark.parametrize("power", [10e3, 120e3, -60e3])  # even speed, speeding up, braking
@@ -189,7 +186,7 @@ def test_the_horizon_of_a_controller_changes_nothing(power, driven):
     for counted in (alone, planned):
         drive(counted, range(driven))
     for second in range(driven, driven + 8):
-        planned.follow(*horizon(power))
+        planned.follow(horizon(power))
         for counted in (alone, planned):
             drive(counted, range(second, second + 1))
         assert planned.summary().remaining == alone.summary().remaining
@@ -197,9 +194,9 @@ def test_the_horizon_of_a_controller_changes_nothing(power, driven):
 
 def test_a_horizon_does_not_end_the_route_that_is_followed():
     counted = drive(account(), range(20))
-    counted.follow(*horizon(40e3, seconds=600.0))
+    counted.follow(horizon(40e3, seconds=600.0))
     route = counted.route
-    counted.follow(*horizon(-60e3))
+    counted.follow(horizon(-60e3))
     assert counted.route is route
 
 
@@ -207,7 +204,7 @@ def test_what_a_route_costs_counts_for_the_route_alone():
     """Before 10 km are driven the usual legs say what the road beyond it costs."""
     counted = drive(account(), range(300))
     counted.usual = 500.0
-    counted.follow(*horizon(40e3, seconds=150.0))  # 3 km of 2000 J/m
+    counted.follow(horizon(40e3, seconds=150.0))  # 3 km of 2000 J/m
     summary = counted.summary()
     beyond = (summary.usable.value - 6e6) / summary.consumption["lifetime"]
     assert summary.remaining.distance == pytest.approx(3e3 + beyond, rel=0.01)
@@ -215,10 +212,9 @@ def test_what_a_route_costs_counts_for_the_route_alone():
 
 def test_a_route_is_followed_on_after_a_restart_and_not_the_next_morning():
     time, length = np.array([0.0, 50.0, 600.0]), np.array([0.0, 1e3, 12e3])
-    plan = Plan(time, length, np.full(3, SPEED), np.zeros(3))
     energy = np.array([0.0, 1e6, 12e6])  # twice as much as usual
     first = drive(account(), range(600))
-    first.follow(plan, Forecast(time, energy, np.full(3, 2e4), 0.1 * energy))
+    first.follow(EnergyCurve(time, length, energy, 0.1 * energy))
     saved = json.loads(json.dumps(drive(first, range(600, 700)).export(), allow_nan=False))
     older = {name: value for name, value in saved.items() if name != "route"}
     once, another, without, morning = account(), account(), account(), account()

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.charge import Uncertain
-from evpinn_ros.core.energy.forecast import Forecast
-from evpinn_ros.core.energy.plan import Plan
+from evpinn_ros.core.energy.forecast import EnergyCurve
 from evpinn_ros.core.energy.remaining import (
     FIRST_SPREAD,
     MEMORY,
@@ -132,9 +131,8 @@ def test_a_route_ends_where_it_was_driven_and_is_given_up_after_a_time():
 def test_a_route_of_many_points_keeps_some_that_lie_on_it():
     time = np.arange(50_001.0)
     along = 20.0 * time
-    plan = Plan(time, along, np.full(50_001, 20.0), np.zeros(50_001))
     energy = 400.0 * along + 1e6 * np.sin(along / 5e3)
-    kept = Route.from_here(plan, Forecast(time, energy, time, 0.1 * energy), 7.0, 0)
+    kept = Route.from_here(EnergyCurve(time, along, energy, 0.1 * energy), 7.0, 0)
     assert len(kept.distance) == MOST_POINTS and kept.distance[-1] == along[-1]
     assert kept.cost == pytest.approx(energy[-1] / along[-1])
     assert np.interp(along, kept.distance, kept.energy) == pytest.approx(energy, abs=8e3)

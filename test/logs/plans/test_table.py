@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import evpinn_ros as ev
+from evpinn_ros.api.plan import planned_energy
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.plan import Plan, PlanError
 from evpinn_ros.logs.plans import read_plan
@@ -70,6 +71,32 @@ def test_heights_at_the_ends_are_climbs(read):
     assert both.climb.tolist() == [10, -20] and both.height_known.all()
     ends = read("length_m,duration_s,elevation_m\n900,60,510\n900,60,490\n")
     assert ends.climb.tolist() == [0, -20] and ends.height_known.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "level"),
+    [
+        ("t_s,speed_mps,elevation_m", "{0},15,212.5", True),
+        ("t_s,speed_mps,grade_percent", "{0},15,0", True),
+        ("t_s,speed_mps,voltage_v,current_a,elevation_m", "{0},15,350,20,212.5", True),
+        ("length_m,duration_s,start_elevation_m,end_elevation_m", "900,60,212.5,212.5", True),
+        ("length_m,duration_s,climb_m", "900,60,0", True),
+        ("t_s,speed_mps", "{0},15", False),
+        ("time [s],Speed [km/h],Altitude [m]", "{0},54,0", False),  # may have no fix
+        ("length_m,duration_s", "900,60", False),
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_heights_that_never_change_say_that_the_road_is_level(read, header, row, level):
+    """Of a plan as of a drive; without heights, hills like those of earlier drives may come."""
+    rows = (row.format(second) for second in range(400))
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        planned = planned_energy(read("\n".join((header, *rows)), "plan.csv"), "bmw_i3")
+    assert (planned.no_heights() is None) == level
+    assert (planned.energies.end.unseen == 0.0) == level
+    said = any("the ground is assumed to be level" in str(note.message) for note in notes)
+    assert said == (level and "elevation" in header)
 
 
 def uphill(header, rows):
