@@ -77,7 +77,8 @@ def test_command_python_topic_and_range_agree(bench, states, tmp_path, saved):
     same = pytest.approx(by_python.sigma_j.iloc[-1], rel=1e-9)
     assert by_command["sigma_j"] == same and points[-1].effort[0] == same
     # A battery that holds what the plan takes up to its middle is empty there, to the metre.
-    used = float(np.interp(2400.0, by_python.distance_m, by_python.energy_j))
+    rows = ev.forecast(table, known, temperature_c=COLD, stood_h=STOOD / 3600, every_m=100.0)
+    used = float(np.interp(2400.0, rows.distance_m, rows.energy_j))
     ahead = node.account.route.ahead(node.account.odometer, Cost(1.0, 1.0, 0.1))
     empty = remaining(Uncertain(used, 0.0), ahead)
     assert empty.distance == pytest.approx(2400.0, abs=1.0)
