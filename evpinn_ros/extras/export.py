@@ -1,8 +1,7 @@
 """`evpinn export`: the learned vehicle as parameters of Open-RMF (rmf_battery).
 
-RMF counts mass |a| v + friction mass 9.81 v and a constant power, without efficiency. Given are
-the values with which it finds what this vehicle draws for a trip from rest to rest at its usual
-speed.
+RMF computes power as mass |a| v + friction mass 9.81 v plus a constant, without efficiency. The
+exported values give this vehicle's energy for a trip from rest to rest at its usual speed.
 """
 
 from __future__ import annotations
@@ -27,32 +26,32 @@ from evpinn_ros.core.energy.power_model import PowerModel, Weather
 from evpinn_ros.core.vehicle.files import Vehicle
 
 RMF_GRAVITY = 9.81  # m/s^2, that of rmf_battery
-RAMP = 2.0  # s in which the speed is reached; energies hardly depend on it
-CRUISES = 50.0, 100.0  # s at that speed, of the two trips that are compared
+RAMP = 2.0  # s to reach the speed; energies hardly depend on it
+CRUISES = 50.0, 100.0  # s at that speed, in the two compared trips
 STANDING = 100.0  # s
 SECONDS_PER_HOUR = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
 class RmfEnergy:
-    """Parameters of energy that a fleet adapter of RMF takes."""
+    """Energy parameters for a fleet adapter of RMF."""
 
     voltage: float  # of the battery, V
-    capacity: Uncertain  # A h that it holds at this voltage, and 1-sigma; NaN where not known
-    mass: float  # kg, with which RMF finds the energy, not that of the scales
+    capacity: Uncertain  # A h at this voltage, and 1-sigma; NaN if unknown
+    mass: float  # kg, gives the energy in RMF's formula; not the weight
     friction: float  # coefficient
-    ambient: float  # power whether it moves or not, W
-    speed: float  # at which these hold, m/s
-    trip: Uncertain  # energy of the longer trip that they were found by, J, and its 1-sigma
+    ambient: float  # constant power, moving or not, W
+    speed: float  # for which these values hold, m/s
+    trip: Uncertain  # energy of the longer compared trip, J, and its 1-sigma
     trip_metres: float  # length of that trip, m
 
 
 def rmf_energy(
     model: PowerModel, vehicle: Vehicle, capacity: Uncertain, speed: float | None = None
 ) -> RmfEnergy:
-    """Parameters with which RMF finds the energy of the forecasts; InputError if there are none.
+    """Parameters with which RMF computes the forecast energy; InputError if impossible.
 
-    The capacity is J; the speed, m/s, if None, `nominal_speed` of the vehicle file.
+    The capacity is J; the speed is m/s, by default `nominal_speed` of the vehicle file.
     """
     if speed is None:
         speed = NOMINAL_SPEED if math.isnan(vehicle.nominal_speed) else vehicle.nominal_speed
@@ -83,7 +82,7 @@ def rmf_energy(
 
 
 def _trip(cruise: float, speed: float) -> Plan:
-    """Plan from rest to rest, with so many s at a speed, a point each second or less."""
+    """Plan from rest to rest with `cruise` s at `speed`, m/s; points at most 1 s apart."""
     ends = np.array([0.0, RAMP, RAMP + cruise, 2.0 * RAMP + cruise])
     time = np.unique(np.concatenate((np.arange(0.0, ends[-1], 1.0), ends)))
     return plan_from_speed_profile(time, None, np.interp(time, ends, [0.0, speed, speed, 0.0]))
@@ -94,7 +93,7 @@ def _energy(plan: Plan, model: PowerModel, weather: Weather) -> Uncertain:
     return Uncertain(float(energies.energy[-1]), float(energies.sigma[-1]))
 
 
-CHARGED_IN = 4.0  # hours, where no charging current is given
+CHARGED_IN = 4.0  # hours, if no charging current is given
 RADIUS = 0.3  # m
 
 export = typer.Typer(cls=ReadableGroup, no_args_is_help=True)
@@ -145,7 +144,7 @@ def rmf(
 
     Example: evpinn export rmf robot.json --vehicle mobile_robot --capacity 25
     """
-    # Here, for it imports what takes longer than all else together.
+    # Imported here, because it takes longer than everything else.
     from evpinn_ros.api.estimator import Estimator
 
     car = Estimator(vehicle, state=state)

@@ -1,1 +1,1 @@
-"""Cars whose data already flow elsewhere: MQTT (TeslaMate, OVMS, any topics) and COVESA VSS."""
+"""Bridges to cars with live data elsewhere: MQTT (TeslaMate, OVMS, any topics), COVESA VSS."""

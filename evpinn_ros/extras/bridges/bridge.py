@@ -1,8 +1,8 @@
 """Connects MQTT topics to one chain for each car.
 
-Below `BASE/NAME`: `power` at most once a second, not retained; `energy`, `consumption`, `range`,
-`breakdown`, `parameters` and `health` as they change, retained. Each is JSON, with a topic of its
-own for each of `sensors.SENSORS`. `BASE/status`: `online`, or `offline` as the last will.
+It publishes below `BASE/NAME`: `power` at most once a second, not retained; `energy`,
+`consumption`, `range`, `breakdown`, `parameters` and `health` at each change, retained. All are
+JSON; each of `sensors.SENSORS` also has a topic. `BASE/status`: `online`, last will `offline`.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from evpinn_ros.extras.bridges.layouts import Layout, Parsed
 from evpinn_ros.extras.bridges.sensors import SENSORS, discovery
 from evpinn_ros.extras.bridges.snapshot import Snapshots, is_due
 
-POWER_NS = 9 * NANOSECONDS // 10  # between two of power: one a second, of a source that jitters
-DOCUMENTS_NS = 10 * NANOSECONDS  # between two of all others
-SAVE_NS = 60 * NANOSECONDS  # between two states, as the nodes do
-MOST_CARS = 16  # a topic is anybody's to invent; each car takes some ten MB
-MOST_HELD = 10_000  # retained messages of cars that nobody named and that do not send
+POWER_NS = 9 * NANOSECONDS // 10  # between powers: one a second from a source with jitter
+DOCUMENTS_NS = 10 * NANOSECONDS  # between other documents
+SAVE_NS = 60 * NANOSECONDS  # between saved states, as in the nodes
+MOST_CARS = 16  # anybody can invent topics; each car takes some ten MB
+MOST_HELD = 10_000  # retained messages of silent cars without a name in the settings
 WAIT_S = 0.5  # longest wait for a message
 
 
@@ -35,13 +35,13 @@ WAIT_S = 0.5  # longest wait for a message
 class BridgeSettings:
     """Settings of a bridge."""
 
-    layout: Layout  # topics that it reads
-    vehicles: Mapping[str, Vehicle]  # of cars by name
-    other: Vehicle | None  # vehicle of all other cars; None ignores them
+    layout: Layout  # topics to read
+    vehicles: Mapping[str, Vehicle]  # of named cars
+    other: Vehicle | None  # of all other cars; None ignores them
     estimator: EstimatorSettings  # settings of each chain
-    base: str = "evpinn"  # topic below which it publishes
+    base: str = "evpinn"  # root of the published topics
     discovery: str = "homeassistant"  # prefix of Home Assistant's discovery; empty for none
-    # folder that keeps what was learned, `NAME.json` of each car; None keeps nothing
+    # folder of the saved cars, `NAME.json` each; None saves nothing
     state: Path | None = None
 
     @property
@@ -51,7 +51,7 @@ class BridgeSettings:
 
     @property
     def birth_topic(self) -> str:
-        """Topic on which Home Assistant says that it started and wants discovery anew."""
+        """Topic on which Home Assistant announces its start, and expects discovery again."""
         return f"{self.discovery}/status"
 
     @property
@@ -63,7 +63,7 @@ class BridgeSettings:
 
 @dataclass(slots=True)
 class _Seen:
-    """A car, its owner, and what was published of it."""
+    """A car, its owner, and its published documents."""
 
     car: BridgedCar
     user: str
@@ -85,20 +85,20 @@ class MqttBridge:
         self.settings, self._connection = settings, connection
         self._clock, self._note = connection.clock, note
         self._seen: dict[str, _Seen] = {}
-        # Names of cars without a vehicle, too many, or of a second user.
+        # Names of ignored cars: without a vehicle, above `MOST_CARS`, or of a second user.
         self.ignored: set[str] = set()
-        # What was retained of a car, and when it arrived, until the car sends.
+        # Retained messages and their arrival, by car, until the car sends.
         self._held: dict[str, list[tuple[Parsed, int]]] = {}
         self._connections = 0
         self._saved_ns = self._clock()
 
     @property
     def cars(self) -> Mapping[str, BridgedCar]:
-        """Cars that have sent something, by name, in the order in which they came."""
+        """Cars that have sent messages, by name, in order of their first message."""
         return {name: seen.car for name, seen in self._seen.items()}
 
     def step(self, wait: float = WAIT_S) -> bool:
-        """Take a message if one comes within `wait`, s, and do what is due; True if one came."""
+        """Take a message within `wait`, s, and publish and save what is due; True if one came."""
         now_ns = self._clock()
         due_ns = min((seen.snapshots.due_ns for seen in self._seen.values()), default=math.inf)
         message = self._connection.next_message(min(wait, max(due_ns - now_ns, 0) / NANOSECONDS))
@@ -118,7 +118,7 @@ class MqttBridge:
         return message is not None
 
     def save(self) -> None:
-        """Write the states of all cars; a file that cannot be written is in their health."""
+        """Save the states of all cars; `health` reports a file that cannot be written."""
         for car in self.cars.values():
             before = car.problem
             car.save()
@@ -126,7 +126,7 @@ class MqttBridge:
                 self._note(car.problem)
 
     def close(self) -> None:
-        """Process what waits, for some seconds; publish all a last time, and save."""
+        """Process waiting messages for some seconds; publish all a last time, and save."""
         until = time.monotonic() + FAREWELL_S
         while time.monotonic() < until and self.step(0.0):
             pass
@@ -136,7 +136,7 @@ class MqttBridge:
         self.save()
 
     def _begin_again(self) -> None:
-        """Hold nothing of before a connection, and repeat what its broker may have lost."""
+        """After a new connection: drop old values, and publish again what the broker may lack."""
         self._held.clear()
         for seen in self._seen.values():
             seen.snapshots.forget()
@@ -161,7 +161,7 @@ class MqttBridge:
         self._feed(seen, seen.snapshots.add(parsed, arrived_ns, retained=retained))
 
     def _hold(self, retained: Parsed, arrived_ns: int) -> bool:
-        """Whether it is of a car that nobody named and that did not send: it is kept till then."""
+        """True if a retained message is kept until its car, which has no name here, sends."""
         if retained.car in self._seen or retained.car in self.settings.vehicles:
             return False
         if retained.values and sum(map(len, self._held.values())) < MOST_HELD:
@@ -201,7 +201,7 @@ class MqttBridge:
             seen.documents_ns = 0
 
     def _publish_due(self, seen: _Seen, now_ns: int) -> None:
-        """Publish what is due: by the car's own stamps, for they are what goes on in a replay."""
+        """Publish due documents; stamps of the car decide, so that replays work too."""
         newest_ns = seen.car.newest_ns
         if newest_ns is not None and is_due(seen.power_ns, newest_ns, POWER_NS):
             seen.power_ns = newest_ns
@@ -218,7 +218,7 @@ class MqttBridge:
     def _publish(
         self, seen: _Seen, documents: Mapping[str, Document], *, retain: bool = True
     ) -> None:
-        """Publish documents and their numbers, of what is retained only what changed."""
+        """Publish documents and their numbers; retained ones only if they changed."""
         base = f"{self.settings.base}/{seen.car.name}"
         for name, document in documents.items():
             texts = {
@@ -232,7 +232,7 @@ class MqttBridge:
                     self._connection.publish(f"{base}/{below}", text, retain=retain)
 
     def _announce(self, seen: _Seen) -> None:
-        """Publish the discovery of a car, and all of its documents anew when they are due."""
+        """Publish the discovery of a car, and all its documents again when they are due."""
         seen.published.clear()
         given, car = self.settings, seen.car
         about = (f"{given.base}/{car.name}", given.status_topic, car.name, car.vehicle.name)

@@ -1,7 +1,7 @@
 """Connection to an MQTT broker: bounded queues both ways, reconnects after every loss.
 
-Both ways ask for QoS 1. For a slow broker only the newest payload of a topic waits, and no more
-than `IN_FLIGHT` messages are on the way.
+Both directions use QoS 1. For a slow broker only the newest payload of each topic waits, and at
+most `IN_FLIGHT` messages are unacknowledged.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 PORT, TLS_PORT = 1883, 8883
 IN_FLIGHT = 20  # messages
-MOST_WAITING = 10_000  # messages that came and are not yet processed; a minute of 160 a second
-LONGEST_PAYLOAD = 16_000  # bytes; a larger one is no value, and 10,000 of those are 160 MB
-RECONNECT_S = 1, 30  # first and longest wait, doubled each time
+MOST_WAITING = 10_000  # received, unprocessed messages; a minute of 160 a second
+LONGEST_PAYLOAD = 16_000  # bytes; no value is larger, and 10,000 of this size take 160 MB
+RECONNECT_S = 1, 30  # first and longest wait; each is twice the last
 KEEP_ALIVE_S = 30
-FAREWELL_S = 3.0  # for the last messages to go out
+FAREWELL_S = 3.0  # to send the last messages
 ONLINE, OFFLINE = "online", "offline"
 REFUSALS = {"Bad user name or password", "Not authorized", "Client identifier not valid"}
 
@@ -36,8 +36,8 @@ REFUSALS = {"Bad user name or password", "Not authorized", "Client identifier no
 class BrokerSettings:
     """Address of a broker and credentials; its repr hides the password.
 
-    `ca`, `certificate` and `key` are paths. Two processes with one `client_id` throw each other
-    out.
+    `ca`, `certificate` and `key` are paths. Two processes with one `client_id` disconnect each
+    other.
     """
 
     host: str
@@ -57,7 +57,7 @@ class BrokerSettings:
 
 
 class Message(NamedTuple):
-    """A message that came, with the moment of its arrival, ns since 1970."""
+    """A received message with its time of arrival, ns since 1970."""
 
     topic: str
     payload: bytes
@@ -80,8 +80,8 @@ class Connection:
             from paho.mqtt.client import Client
             from paho.mqtt.enums import CallbackAPIVersion
         self.settings, self._subscriptions, self._status = settings, subscriptions, status_topic
-        self.clock = clock  # of the moments at which messages come
-        self.lost = self.connections = 0  # messages dropped; how often the broker took us
+        self.clock = clock  # for times of arrival
+        self.lost = self.connections = 0  # dropped messages; number of connections
         self.problem: str | None = None  # why there is no connection, if known
         self._arrived: Queue[Message] = Queue(MOST_WAITING)
         self._outbox: dict[str, tuple[str, bool]] = {}
@@ -102,16 +102,16 @@ class Connection:
 
     @property
     def connected(self) -> bool:
-        """True while the broker takes messages."""
+        """True while connected to the broker."""
         return self._client.is_connected()
 
     @property
     def hopeless(self) -> bool:
-        """True where the broker never took us and refuses who we are, which no waiting mends."""
+        """True if the broker never accepted this client and refuses its credentials."""
         return not self.connections and self.problem in REFUSALS
 
     def start(self) -> None:
-        """Connect in the background, again and again until it works."""
+        """Connect in the background, with retries."""
         self._client.connect_async(self.settings.host, self.settings.port, KEEP_ALIVE_S)
         self._client.loop_start()
 
@@ -128,25 +128,25 @@ class Connection:
         self.send()
 
     def send(self) -> None:
-        """Hand over what waits, as far as the broker keeps up."""
+        """Pass waiting payloads to the client, as far as the broker keeps up."""
         while self._outbox and self.connected and self._on_the_way() < IN_FLIGHT:
             topic = next(iter(self._outbox))
             payload, retain = self._outbox.pop(topic)
             self._in_flight.append(self._client.publish(topic, payload, 1, retain))
 
     def _on_the_way(self) -> int:
-        """Messages that the broker has not acknowledged; the client repeats those after a loss."""
+        """Number of unacknowledged messages; the client sends them again after a loss."""
         while self._in_flight and self._in_flight[0].is_published():
             self._in_flight.popleft()
         return len(self._in_flight)
 
     @property
     def waiting(self) -> int:
-        """Topics whose newest payload was not handed over, or not acknowledged."""
+        """Number of topics whose newest payload was not sent or not acknowledged."""
         return len(self._outbox) + self._on_the_way()
 
     def close(self) -> None:
-        """Send what waits, for some seconds; say that we are offline, and leave."""
+        """Send waiting payloads for some seconds, then `offline`, and disconnect."""
         self.publish(self._status, OFFLINE, retain=True)
         until = time.monotonic() + FAREWELL_S
         while self.connected and self.waiting and time.monotonic() < until:
@@ -165,7 +165,7 @@ class Connection:
         self.connections += 1
 
     def _on_connect_fail(self, _: Client, __: Any) -> None:
-        # The client calls this where it handles the error, and tells no reason itself.
+        # The client calls this while it handles the error, but does not pass the reason.
         error = sys.exc_info()[1]
         self.problem = error.strerror if isinstance(error, OSError) else None
 
@@ -176,5 +176,5 @@ class Connection:
         try:
             arrived = Message(message.topic, message.payload, message.retain, self.clock())
             self._arrived.put_nowait(arrived)
-        except (Full, UnicodeDecodeError):  # of a topic; it would end the thread of the client
+        except (Full, UnicodeDecodeError):  # of a topic; it would end the client's thread
             self.lost += 1

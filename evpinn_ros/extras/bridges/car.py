@@ -1,4 +1,4 @@
-"""One car of a bridge: the chain behind its readings, its drives, and what is kept of it."""
+"""One car of a bridge: the chain of its readings, its drives, and its saved state."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from evpinn_ros.replays.energy_metrics import account_metrics, breakdown_metrics
 from evpinn_ros.replays.scoring import combination_metrics, parameter_metrics
 
 DRIVE_GAP_NS = 15 * 60 * NANOSECONDS
-"""A drive ends where the car sends no speed, or stands, for so long."""
+"""A drive ends after this time without speed, or at standstill."""
 STANDS = 0.1  # m/s
 HELD = JumpRule(policy=JumpPolicy.HOLD)
-"""A clock of a broker's host that is set back must not undo what was learned."""
+"""Setting back the clock of the broker's host must not reset the learned state."""
 
 Document = Mapping[str, Any]
 
@@ -37,13 +37,13 @@ class BridgedCar:
     def __init__(
         self, name: str, vehicle: Vehicle, settings: EstimatorSettings, state: Path | None = None
     ) -> None:
-        """Go on from the state of the car, where its file is there and can be used."""
+        """Go on from the state of the car if its file exists and is usable."""
         self.name, self.vehicle, self._settings = name, vehicle, settings
         self.chain = Chain(vehicle, settings, InlineWorker(time.perf_counter), HELD)
-        # stamp of the last reading that is not in doubt, None before the first. It follows a clock
-        # that is set back
+        # Stamp of the last confirmed reading, None before the first. It follows a clock that is
+        # set back.
         self.newest_ns: int | None = None
-        self.readings = 0  # how many came
+        self.readings = 0  # number of readings so far
         self._moved_ns: int | None = None
         self._power: dict[PowerKind, PowerEstimate] = {}
         self._files = [
@@ -57,16 +57,16 @@ class BridgedCar:
 
     @property
     def problem(self) -> str | None:
-        """Reason why its state was not used or not written, None if all is well."""
+        """Reason why its state was not used or not written, or None."""
         return next((file.problem for file in self._files if file.problem is not None), None)
 
     def add_readings(self, readings: Iterable[Reading]) -> bool:
-        """Take readings in order; give whether another drive began with them."""
+        """Take readings in order; returns True if another drive began with them."""
         began = False
         waiting: list[Block | Jump] = []
         for reading in readings:
             self.readings += 1
-            # Only what passes the guard of time counts: one wild stamp ends no drive.
+            # Only readings that pass the guard of time count: one wild stamp ends no drive.
             for item in self.chain.follow(Block.of([reading])):
                 if isinstance(item, Block):
                     if self._is_next(item):
@@ -96,7 +96,7 @@ class BridgedCar:
         return moved_ns is not None and int(moving_ns[0]) - moved_ns >= DRIVE_GAP_NS
 
     def save(self) -> None:
-        """Write what was learned and counted, if there is anything new."""
+        """Write the learned state and the account, if they are new."""
         if self.readings == self._saved:
             return
         for state_file in self._files:
@@ -104,7 +104,7 @@ class BridgedCar:
         self._saved = self.readings
 
     def power(self) -> Document:
-        """Battery power, W: measured, predicted without it, and the 1-sigma of that."""
+        """Document of battery power, W: measured, predicted, and 1-sigma of the prediction."""
         measured, predicted = (
             self._power.get(kind) for kind in (PowerKind.MEASURED, PowerKind.PREDICTED)
         )
@@ -117,7 +117,7 @@ class BridgedCar:
 
     def documents(self) -> Mapping[str, Document]:
         """All other documents, by the last part of their topic."""
-        self.chain.account.flush()  # what was measured is told at once
+        self.chain.account.flush()  # shows measurements at once
         estimator, account = self.chain.estimator, account_metrics(self.chain.account.show())
         parameters = estimator.parameters()
         combinations = {"combinations": combination_metrics(parameters)}
@@ -133,7 +133,7 @@ class BridgedCar:
         }
 
     def health(self) -> Document:
-        """Activity and reasons, for whoever asks why there are no news."""
+        """Document of activity and problems, which explains missing updates."""
         status = self.chain.estimator.status()
         return {
             "activity": status.activity.value,

@@ -1,4 +1,4 @@
-"""Mappings of MQTT topics to quantities, units and signs: `config/mqtt/`, or a user's file."""
+"""Mappings of MQTT topics to quantities, units and signs, from `config/mqtt/` or a user's file."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from evpinn_ros.common.yaml_section import Section, compose
 from evpinn_ros.logs.quantities import QUANTITIES, Unit
 
 PERCENT = 0.01
-MILLISECONDS = 1e11  # a larger number of seconds since 1970 is of milliseconds
+MILLISECONDS = 1e11  # larger numbers since 1970 are milliseconds, not seconds
 CAR_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 BUNDLED = ("teslamate", "ovms")
 CAR = "{car}"  # a level of a topic
-USER = "(?P<user>[^/]+)"  # of the first level above the car's that stands for any
+USER = "(?P<user>[^/]+)"  # of the first wildcard level above the car's
 WILDCARDS = {CAR: "(?P<car>[^/]+)", "+": "[^/]+", "#": ".+"}
 
 
 class Measurand(str, Enum):
-    """Quantities that a bridge takes, in the units of `signals.readings`.
+    """Quantities that a bridge reads, in the units of `signals.readings`.
 
     POWER is W, positive when drawn; CURRENT is A with the sign of BatteryState, negative when
     drawn; CHARGE is 0..1; STANDING is 1 while the car cannot move, ASLEEP 1 while not in use.
@@ -48,9 +48,9 @@ class Measurand(str, Enum):
 
 
 LASTING = {Measurand.CHARGE, Measurand.TEMPERATURE, Measurand.STANDING, Measurand.ASLEEP}
-"""Quantities whose retained value may be used, once a live message shows that the car sends."""
+"""Quantities whose retained values are used after any live message of the car."""
 COLUMNS = {Measurand.ALTITUDE: "elevation", Measurand.TEMPERATURE: "ambient"}
-"""Names in `logs.quantities`, where they differ."""
+"""Names in `logs.quantities`, if different."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +58,14 @@ class Rule:
     """Meaning of a topic, or of a field of its JSON."""
 
     quantity: Measurand
-    scale: float = 1.0  # to the unit of the quantity, with its sign
-    step: float = math.nan  # of rounded numbers, in the unit of the quantity; NaN if unknown
-    words: Mapping[str, float] | None = None  # texts and their values, where it is no number
-    otherwise: float = math.nan  # value of other words; NaN if they mean nothing
+    scale: float = 1.0  # factor to the unit of the quantity, with its sign
+    step: float = math.nan  # of rounding, in the unit of the quantity; NaN if unknown
+    words: Mapping[str, float] | None = None  # texts and their values, if not a number
+    otherwise: float = math.nan  # value of other texts; NaN ignores them
     offset: float = 0.0  # added after `scale`, as of degrees Fahrenheit
 
     def value(self, text: object) -> Value:
-        """Value in the unit of the quantity, NaN where the text is none."""
+        """The value in the unit of the quantity, NaN if the text is none."""
         if self.words is not None:
             return Value(self.words.get(str(text), self.otherwise))
         try:
@@ -76,7 +76,7 @@ class Rule:
 
 
 class Value(NamedTuple):
-    """A value, and the step to which it was rounded; NaN where one is not known."""
+    """A value and its step of rounding; NaN if unknown."""
 
     value: float = math.nan
     step: float = math.nan
@@ -88,11 +88,11 @@ class Parsed(NamedTuple):
     car: str  # its name
     values: Mapping[Measurand, Value]  # by quantity
     stamp_ns: int | None = None  # None if the message has none
-    user: str = ""  # level above the car's that stands for any, as of OVMS; empty without one
+    user: str = ""  # wildcard level above the car's, as of OVMS; empty without one
 
 
 class Layout:
-    """The topics of one kind of publisher, with the quantity and unit of each."""
+    """The topics of one type of publisher, with their quantities and units."""
 
     def __init__(
         self,
@@ -101,19 +101,19 @@ class Layout:
         around: tuple[str, ...] = (),
         stamp: str = "",
     ) -> None:
-        """Take rules by topic (`{car}` is the car's name) and field ("": the payload).
+        """Make a layout of rules by topic (`{car}` is the car's name) and field ("": the payload).
 
         `base` begins all topics; `around` are filters of a publisher that sends changes; `stamp`
-        is a JSON field. InputError: no broker takes such a topic.
+        is a JSON field. InputError: a topic is invalid in MQTT.
         """
         rules = {**topics, **{topic: {} for topic in around if topic not in topics}}
         self._rules = {_expression(base + topic): rules[topic] for topic in rules}
         self._stamp = stamp
-        self.on_change = bool(around)  # any message of a car says that all else is as it was
+        self.on_change = bool(around)  # after any message of a car, its other values still hold
         self.subscriptions = tuple((base + topic).replace(CAR, "+") for topic in around or topics)
 
     def parse(self, topic: str, payload: bytes) -> Parsed | None:
-        """Content of a message, without values where it has no rule; None if it is of no car."""
+        """Content of a message, without values if it has no rule; None if it is of no car."""
         for expression, rules in self._rules.items():
             match = expression.fullmatch(topic)
             if match is not None:
@@ -137,7 +137,7 @@ class Layout:
 
 
 def _expression(topic: str) -> re.Pattern[str]:
-    """Expression of the topics that a filter means, with the groups `user` and `car`."""
+    """Regular expression of the topics of a filter, with the groups `user` and `car`."""
     levels = topic.split("/")
     rest = "/".join(level for level in levels if level not in WILDCARDS)
     broken = not topic or levels.count(CAR) > 1 or "#" in levels[:-1]
@@ -156,13 +156,13 @@ def _stamp_ns(seconds: object) -> int | None:
 
 
 def read_layout(source: str, namespace: str = "") -> Layout:
-    """Read a mapping file: that of `teslamate` or `ovms`, or the one at a path.
+    """Read the mapping file of `teslamate` or `ovms`, or the one at a path.
 
     `topics` maps each topic, with `{car}`, to `{quantity, unit, scale}` or to `fields: {name:
-    {...}}` of JSON; `unit` is one of `logs.quantities`, `step` that of rounded numbers; `words`
-    are texts and their values, others mean `otherwise`; `stamp` names a field, s or ms. Topics
-    begin with `base`, with a namespace with `named`. `around` are filters of all topics of a
-    publisher that sends what changed. InputError: the file is wrong, or has no namespace.
+    {...}}` of JSON; `unit` is one of `logs.quantities`, `step` that of rounding; `words` maps
+    texts to values, `otherwise` is the value of other texts; `stamp` names a field, s or ms.
+    Topics begin with `base`, with a namespace by `named`. `around` are filters of all topics of a
+    publisher that sends changes. InputError: the file is wrong, or has no `named` but a namespace.
     """
     bundled = share_directory() / "config" / "mqtt" / f"{source}.yaml"
     path = bundled if source in BUNDLED else Path(source)

@@ -71,7 +71,7 @@ def mqtt(
 
     Example: evpinn mqtt --source ovms --car LEAF=nissan_leaf --broker 192.168.0.2 --user ev
     """
-    # Imported here: other commands need neither the chain nor paho-mqtt.
+    # Imported here: other commands do not need the chain or paho-mqtt.
     from evpinn_ros.common.blas_threads import limit_blas_threads
     from evpinn_ros.core.vehicle.files import load_vehicle
     from evpinn_ros.extras.bridges.bridge import BridgeSettings, MqttBridge
@@ -94,7 +94,7 @@ def mqtt(
     )
     host, port = split_address(broker, "--broker", TLS_PORT if tls else PORT)
     proof = credentials(user, password_file)
-    # One id for a base topic: a second process of the same base would publish over the first.
+    # One id per base topic: a second process with the same base would overwrite the first.
     settings = BrokerSettings(host, port, *proof, tls, ca, cert, key, given.base.replace("/", "-"))
     connection = Connection(settings, given.subscriptions, given.status_topic)
     _serve(MqttBridge(given, connection, note=lambda text: note(f"evpinn: {text}")), connection)
@@ -144,7 +144,7 @@ def _topic(option: str, text: str) -> str:
 
 
 def credentials(user: str | None, password_file: Path | None) -> tuple[str | None, str | None]:
-    """User and password, of options and the environment; InputError for a password alone."""
+    """User and password from options and environment; InputError for a password alone."""
     user = user or os.environ.get(USER_VARIABLE) or None
     password = os.environ.get(PASSWORD_VARIABLE) or None
     if password_file is not None:
@@ -155,13 +155,13 @@ def credentials(user: str | None, password_file: Path | None) -> tuple[str | Non
 
 
 def secret_of(path: Path) -> str:
-    """The password or token in a file; InputError if unreadable or too large for one."""
+    """The password or token in a file; InputError if unreadable or too large."""
     with as_input_error(path, ValueError):
         return read_whole(path, MOST_SECRET, "a password or token").decode().strip("\r\n")
 
 
 def split_address(text: str, option: str, default: int) -> tuple[str, int]:
-    """Host and port of `HOST[:PORT]`, IPv6 in brackets; InputError also for a password in it."""
+    """Host and port of `HOST[:PORT]`, IPv6 in brackets; InputError if wrong or with a password."""
     if "@" in text or "/" in text:
         raise InputError(f"{option} is HOST or HOST:PORT; no scheme, no user and no password")
     host, separator, port = text.rpartition(":")

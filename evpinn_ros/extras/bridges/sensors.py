@@ -1,4 +1,4 @@
-"""Scalars of a car: their topics, and the discovery messages for Home Assistant.
+"""Topics of single numbers of a car, and their discovery messages for Home Assistant.
 
 Sources: home-assistant.io, "MQTT" and "MQTT sensor"; developers.home-assistant.io, "Sensor
 entity".
@@ -18,7 +18,7 @@ MEASUREMENT, INCREASING = "measurement", "total_increasing"
 
 
 def number_at(document: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
-    """Number at the end of a path of keys in a document; None where there is none."""
+    """The number at a path of keys in a document; None if there is none."""
     value: Any = document
     for key in path:
         value = value.get(key) if isinstance(value, Mapping) else None
@@ -27,24 +27,24 @@ def number_at(document: Mapping[str, Any], path: tuple[str, ...]) -> float | Non
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """One number of a document that has a topic of its own, as Home Assistant shows it."""
+    """One number of a document with a topic of its own, for Home Assistant."""
 
     document: str  # `power`, `energy`, ...
     path: tuple[str, ...]  # keys to the number in the document
     name: str  # for people
-    unit: str | None  # as Home Assistant writes it; None where it has none
-    device_class: str | None  # of Home Assistant; None where none fits
+    unit: str | None  # in the spelling of Home Assistant, or None
+    device_class: str | None  # of Home Assistant; None if none fits
     state_class: str | None = MEASUREMENT  # of Home Assistant; None without statistics
-    digits: int = 1  # behind the point
-    diagnostic: bool = False  # whether it is about the car and not about its drives
+    digits: int = 1  # after the point
+    diagnostic: bool = False  # True if it describes the car, not its drives
 
     @property
     def topic(self) -> str:
-        """Topic below that of the car."""
+        """Topic, relative to that of the car."""
         return "/".join((self.document, *self.path))
 
     def text(self, document: Mapping[str, Any]) -> str:
-        """The number as a payload; "None", which Home Assistant shows as unknown, without one."""
+        """The number as a payload; without one "None", which Home Assistant shows as unknown."""
         number = number_at(document, self.path)
         return "None" if number is None else f"{number:.{self.digits}f}"
 
@@ -77,7 +77,7 @@ SENSORS = (
 def discovery(
     prefix: str, base: str, status_topic: str, car: str, model: str
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Topic and content of a car's discovery messages; none where the prefix is empty."""
+    """Topic and content of a car's discovery messages; none if the prefix is empty."""
     device = f"evpinn_{car}"
     of_all = {
         "availability_topic": status_topic,

@@ -1,8 +1,8 @@
-"""Makes readings of one car from single values, which arrive irregularly or only on change.
+"""Makes readings of one car from single values that arrive irregularly or only on change.
 
-Any message of a car says that all else of it is as it was: what came within `BURST_NS`, and what
-holds on, is one set of readings, stamped by the first arrival where messages have no stamp. A
-retained value may be days old: it is used once the car sends it, or, where it lasts, anything.
+Any message of a car confirms its other values: the values within `BURST_NS` and those that still
+hold are one set of readings, stamped by the first arrival if messages have no stamp. A retained
+value may be days old: it is used once the car sends it, a lasting one once the car sends anything.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from evpinn_ros.core.signals.readings import (
 )
 from evpinn_ros.extras.bridges.layouts import LASTING, Measurand, Parsed, Value
 
-BURST_NS = 150_000_000  # ns; a publisher sends what changed within some milliseconds
+BURST_NS = 150_000_000  # a publisher sends all changes within some milliseconds
 MOST_AHEAD_NS = 86_400 * NANOSECONDS
-"""Clocks of cars go wrong by seconds or a zone; a stamp farther ahead of its arrival is none."""
-VARIANCE_OF_A_STEP = 1.0 / 12.0  # of a rounded number, per squared step
+"""Clocks of cars are off by seconds or a time zone; a stamp further in the future is ignored."""
+VARIANCE_OF_A_STEP = 1.0 / 12.0  # of rounding, per squared step
 NAN = math.nan
 
 
 class Snapshots:
-    """Readings of one car, set by set."""
+    """Collects values of one car into sets of readings."""
 
     def __init__(self, nominal_voltage: float, *, on_change: bool) -> None:
-        """Begin; `on_change`: a value is sent when it changes, and holds until then."""
+        """Begin; with `on_change`, values are sent when they change, and hold until then."""
         self._nominal_voltage, self._on_change = nominal_voltage, on_change
         self._held: dict[Measurand, Value] = {}
         self._burst_ns: int | None = None
 
     @property
     def due_ns(self) -> float:
-        """Moment from which on `flush` gives readings, infinite while nothing waits."""
+        """Time, ns, from which on `flush` returns readings; infinite if no value waits."""
         return math.inf if self._burst_ns is None else self._burst_ns + BURST_NS
 
     def forget(self) -> None:
-        """Hold nothing that could have changed unseen: the connection was lost."""
+        """After a lost connection: forget values that may have changed meanwhile."""
         self._held = {
             quantity: held for quantity, held in self._held.items() if quantity in LASTING
         }
         self._burst_ns = None
 
     def add(self, parsed: Parsed, arrived_ns: int, *, retained: bool) -> list[Reading]:
-        """Take a message, `retained` if the broker kept it; returns the complete readings."""
+        """Take a message, `retained` if the broker stored it; returns the completed readings."""
         if retained:
             if self._on_change:
                 self._hold(parsed, LASTING)
@@ -68,7 +68,7 @@ class Snapshots:
         return complete
 
     def flush(self, now_ns: int) -> list[Reading]:
-        """Readings of the values that came together, once no more of them can come."""
+        """Readings of the values that arrived together, once their burst is over."""
         if self._burst_ns is None or 0 <= now_ns - self._burst_ns < BURST_NS:
             return []
         stamp_ns, self._burst_ns = self._burst_ns, None
@@ -100,7 +100,7 @@ class Snapshots:
         return readings if speed is None else [*readings, speed]
 
     def _asleep(self, stamp_ns: int) -> list[Reading]:
-        """Charge alone: speed and power of a car that is not driven are old, or the charger's."""
+        """Readings of charge alone: speed and power of a parked car are old, or of the charger."""
         for quantity in (Measurand.SPEED, Measurand.POWER, Measurand.CURRENT, Measurand.VOLTAGE):
             self._held.pop(quantity, None)
         charge = self._value(Measurand.CHARGE)
@@ -127,5 +127,5 @@ class Snapshots:
 
 
 def is_due(last_ns: int, now_ns: int, period_ns: int) -> bool:
-    """True a period after the last time, and where the clock was set back."""
+    """True if a period has passed since the last time, or the clock was set back."""
     return not 0 <= now_ns - last_ns < period_ns

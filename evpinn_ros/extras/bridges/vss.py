@@ -63,15 +63,15 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
         }.items()
     },
 }
-"""Keys in the documents of a car, of each signal that is written."""
-METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # whole ones; ours: km
-OLD_NS = 10 * NANOSECONDS  # of the values that a databroker gives first
-SEND_NS = NANOSECONDS  # between two sets of signals
+"""Keys in the documents of a car for each written signal."""
+METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # integers; ours are km
+OLD_NS = 10 * NANOSECONDS  # age of initial values from a databroker
+SEND_NS = NANOSECONDS  # between sets of written signals
 NOT_FOUND = 5  # of gRPC: the databroker has no such signal
 
 
 def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
-    """Signals of a car that are known now, by their names in VSS."""
+    """Known signals of a car: name in VSS and value."""
     documents = {**car.documents(), "power": car.power()}
     for name, path in OUTPUTS.items():
         number = number_at(documents, path)
@@ -80,7 +80,7 @@ def signals(car: BridgedCar) -> Iterator[tuple[str, float]]:
 
 
 class DatabrokerFeed:
-    """Feeds a car from a KUKSA databroker, and the databroker with what is learned."""
+    """Feeds a car from a KUKSA databroker, and writes results back."""
 
     def __init__(
         self, client: VSSClient, car: BridgedCar, clock: Callable[[], int] = time.time_ns
@@ -91,9 +91,9 @@ class DatabrokerFeed:
         self.missing: set[str] = set()  # signals that the databroker does not know
 
     def run(self) -> Iterator[None]:
-        """Receives updates and sends signals when due, yielding after each; or VSSClientError."""
+        """Receives updates and sends due signals; yields after each update; or VSSClientError."""
         for number, updates in enumerate(self._client.subscribe_current_values(INPUTS)):
-            # It gives its last values first. The age of others says how clocks differ, no more.
+            # The first update may have old values; later ages only show errors of clocks.
             self._take(updates, OLD_NS if number == 0 else None)
             newest_ns = self._car.newest_ns
             if newest_ns is not None and is_due(self._sent_ns, newest_ns, SEND_NS):
@@ -102,7 +102,7 @@ class DatabrokerFeed:
             yield
 
     def _take(self, updates: Mapping[str, Any], oldest_ns: int | None) -> None:
-        """Add what was measured at one moment together: voltage and current make one power."""
+        """Add values of one moment together: voltage and current give one power."""
         now_ns = self._clock()
         moments: dict[int, dict[Measurand, Value]] = {}
         for name, point in updates.items():
@@ -118,7 +118,7 @@ class DatabrokerFeed:
             self._car.add_readings(self._snapshots.add(parsed, now_ns, retained=False))
 
     def send(self) -> None:
-        """Write all signals that are known."""
+        """Write all known signals."""
         with optional_imports():
             from kuksa_client import grpc as kuksa
 
@@ -126,7 +126,7 @@ class DatabrokerFeed:
             if name in self.missing:
                 continue
             kind = kuksa.DataType.UINT32 if name in METRES else kuksa.DataType.FLOAT
-            # With its type given, the client does not ask the databroker for it each time.
+            # With a given type, the client does not ask the databroker for it each time.
             entry = kuksa.DataEntry(name, kuksa.Datapoint(value), metadata=kuksa.Metadata(kind))
             update = kuksa.EntryUpdate(entry, (kuksa.Field.VALUE,))
             try:
@@ -138,7 +138,7 @@ class DatabrokerFeed:
 
 
 PORT = 55555
-AGAIN_S = 5.0  # before the next try
+AGAIN_S = 5.0  # s before the next try
 SAVE_S = 60.0
 
 
@@ -182,13 +182,13 @@ def vss(
 
 
 def _end(*_: object) -> None:
-    """End at the first signal; a later one shall not interrupt the saving."""
+    """End at the first signal; a later one does not interrupt saving."""
     at_stop(lambda *_: None)
     raise KeyboardInterrupt
 
 
 def _follow(feed: DatabrokerFeed, save: Callable[[], None]) -> None:
-    """Follow the signals until the databroker goes; save now and then."""
+    """Follow the signals until the databroker disconnects; save regularly."""
     saved, noted = time.monotonic(), False
     for _ in feed.run():
         if feed.missing and not noted:

@@ -1,9 +1,9 @@
-"""Learns one car: its drives in order of time, each from the state after the one before.
+"""Learns one car from its drives in order of time, each from the state after the previous one.
 
-Every drive starts from what was saved, never from memory, so a stopped run gives the same numbers
-and a failing drive leaves nothing behind. The car's folder has `state.json`, as `evpinn replay
---state` takes it, and `result.json`: rows with the fingerprint of their input, and the evidence. A
-later run goes on, and begins anew where an earlier drive changed.
+Every drive starts from the saved state, never from memory, so a stopped run gives the same numbers
+and a failing drive changes nothing. The folder of the car has `state.json` for `evpinn replay
+--state`, and `result.json`: rows with the fingerprint of their input, and the evidence. A later
+run continues, or begins anew if an earlier drive changed.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ NUMBERS = {
     "energy_predicted_j": ("energy", "predicted_j"),
     "energy_error_percent": ("energy", "error_percent"),
 }
-"""Columns of scores, and their places in the metrics."""
+"""Columns of scores, with the keys of each in the metrics."""
 POINT = DrivePoint._fields
 PARAMETERS = {
     name + ("" if figure == "value" else f"_{figure}"): (name, figure)
     for figures in (TRACKED, ("state",))
     for name, figure in product(PARAMETER_NAMES, figures)
 }
-"""Columns of parameters: which figure of which."""
+"""Columns of parameters: name and figure of each."""
 
 
 def drive_row(replayed: Replayed) -> dict[str, Any]:
@@ -70,18 +70,18 @@ def drive_row(replayed: Replayed) -> dict[str, Any]:
 
 
 def failed_row(problem: str) -> dict[str, Any]:
-    """A drive of which nothing came; all other columns are unknown."""
+    """The row of a failed drive: the problem, other columns unknown."""
     return {"problem": problem, "samples": 0}
 
 
 def point_of(row: Mapping[str, Any]) -> DrivePoint | None:
-    """Point of a drive in trends, by its row; None of a short or failed one."""
+    """Point of a drive in trends, from its row; None if short or failed."""
     known = row.get("distance_m") is not None
     return DrivePoint(*(row[name] for name in POINT)) if known else None
 
 
 def impossible(row: Mapping[str, Any]) -> list[str]:
-    """Parameters that lie where no such car can be, or whose signals contradict each other."""
+    """Names of parameters with impossible values or contradicting signals."""
     return [name for name in PARAMETER_NAMES if row.get(f"{name}_state") == Trust.INVALID.value]
 
 
@@ -90,21 +90,21 @@ LAYOUT = 2  # of the result file
 
 
 class StoppedError(Exception):
-    """The person who started the run wants no more of it."""
+    """The user stopped the run."""
 
 
 @dataclass(frozen=True, slots=True)
 class CarTask:
-    """Task of a worker."""
+    """Task of a worker: one car."""
 
-    drives: CarDrives  # of which car
-    folder: Path  # of its files; every worker must see it, as the drives themselves
-    stop: Path  # a file; once it exists the car is left as it is
+    drives: CarDrives  # of the car
+    folder: Path  # of its files; every worker must see it, and the drives
+    stop: Path  # a file that ends the task once it exists
 
 
 @dataclass(frozen=True, slots=True)
 class CarDone:
-    """Drives of a car: learned now, found done already, and failed among all."""
+    """Numbers of drives of a car: learned now, learned before, and failed among all."""
 
     car: str
     learned: int
@@ -113,12 +113,12 @@ class CarDone:
 
 
 def car_folder(out: Path, car: CarDrives) -> Path:
-    """Folder of a car's files, in that of the results."""
+    """Folder of a car's files, in the folder of the results."""
     return out / "cars" / car.folder_name
 
 
 def learn_car(task: CarTask) -> CarDone:
-    """Learn the drives not learned yet; raises StoppedError when asked to, or InputError."""
+    """Learn the drives not learned yet; StoppedError if the user stops it, or InputError."""
     limit_blas_threads()
     _stop_if(task.stop)
     vehicle = task.drives.vehicle
@@ -142,7 +142,7 @@ class _Input:
 
     @classmethod
     def of(cls, path: Path, learned: _CarFiles) -> _Input:
-        """Look at a drive; what is known of it already is not read again."""
+        """Input of a drive; known results are not read again."""
         try:
             fingerprint = _fingerprint(path)
             start = learned.starts.get(fingerprint)
@@ -159,7 +159,7 @@ class _Input:
 
 
 class _CarFiles:
-    """The files of a car: what is there, and what is added."""
+    """The files of a car: reads existing results, and adds new ones."""
 
     def __init__(self, folder: Path, vehicle: Vehicle) -> None:
         self.vehicle, self._folder = vehicle, folder
@@ -171,7 +171,7 @@ class _CarFiles:
         self.starts: dict[str, int] = {r["fingerprint"]: r["start_ns"] for r in self.rows}
 
     def keep(self, fingerprints: list[str]) -> int:
-        """Keep what is there if the drives begin with it, else begin anew; how many are kept."""
+        """Keep existing results of the first drives, or begin anew; returns the number kept."""
         learned = [row["fingerprint"] for row in self.rows]
         if fingerprints == learned:
             return len(learned)
@@ -184,7 +184,7 @@ class _CarFiles:
         return len(self.rows)
 
     def add(self, drive: _Input, row: dict[str, Any], state: dict[str, Any] | None) -> None:
-        """Write the files after one more drive; without a state nothing was learned of it."""
+        """Write the files after one more drive; a failed drive has no state."""
         self.rows.append({**drive.row(), **row})
         self.state = state or self.state
         evidence = evidence_of_state(self.vehicle, self.state) if self.state else NO_EVIDENCE
@@ -201,7 +201,7 @@ class _CarFiles:
         )
 
     def note_unreadable(self, inputs: list[_Input]) -> None:
-        """Write which drives could not even be opened; they are tried again by every run."""
+        """Write which drives could not be opened; every run tries them again."""
         rows = [{**drive.row(), **failed_row(drive.problem or "")} for drive in inputs]
         if self._written.get("unreadable", []) != rows or not self._written:
             nothing = {"basis": self._basis, "state": _digest_of({}), "drives": []}
@@ -221,7 +221,7 @@ def _learn(
     state: dict[str, Any] | None,
     progress: Callable[[float], None],
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """The row of a drive and the state after it, None if nothing came of it."""
+    """The row of a drive and the state after it, None if it failed."""
     progress(0.0)
     settings = EstimatorSettings()
     chain = Chain(vehicle, settings, InlineWorker(time.perf_counter))
@@ -237,7 +237,7 @@ def _learn(
             mode=settings.mode.value,
             progress=progress,
         )
-        # As JSON has it, so that a run goes on from the same state whether read back or not.
+        # As JSON, so that a run continues from the same state whether read back or not.
         return drive_row(replayed), json.loads(
             json.dumps(chain.estimator.export(), allow_nan=False)
         )
@@ -248,7 +248,7 @@ def _learn(
 
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
-    """Saved result of the present program for a car of this very vehicle file; empty if none."""
+    """Saved result of this version of the program and of the vehicle file; empty if none."""
     result = _read(folder / RESULT_FILE)
     return result if result.get("basis") == _basis(vehicle) else {}
 
@@ -270,7 +270,7 @@ def _first_stamp(path: Path, vehicle: Vehicle) -> int:
 
 
 def _fingerprint(path: Path) -> str:
-    """Fingerprint of the names, sizes and times of a drive's files."""
+    """Fingerprint of a drive's files by their names, sizes and times."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     stats = [(file.name, file.stat()) for file in files if file.is_file()]
     return _digest([str(path), *(f"{n} {s.st_size} {s.st_mtime_ns}" for n, s in stats)])

@@ -1,7 +1,7 @@
-"""Executors of tasks: this machine's cores, or a cluster by Dask.
+"""Executors of tasks: the cores of this machine, or a Dask cluster.
 
-Both hold few tasks at a time, and return each with its result as it is done; a task that fails, or
-kills its worker, is a result with a reason.
+Both hold few tasks at a time, and yield each as it ends, with its result; a task that fails, or
+kills its worker, yields a problem.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 PATIENCE = 10  # s for a cluster to answer
-WORKER_PATIENCE = 10  # s for a cluster to have a worker
+WORKER_PATIENCE = 10  # s to wait for a worker of a cluster
 
 
 @dataclass(frozen=True, slots=True)
 class TaskOutcome(Generic[Task, Result]):
-    """A task and what came of it: a result, or the problem in one line."""
+    """A task with its result, or with the problem in one line."""
 
     task: Task
     result: Result | None
@@ -39,7 +39,7 @@ class TaskOutcome(Generic[Task, Result]):
 
 
 class LocalExecutor:
-    """Processes of one thread, each its own pool: a killed one takes its own task alone."""
+    """Runs single-threaded processes, each with its own pool: a killed one loses only its task."""
 
     def __init__(self, workers: int | None = None) -> None:
         self._count = workers or len(os.sched_getaffinity(0))
@@ -66,12 +66,12 @@ class LocalExecutor:
                 yield _outcome(task, future, error)
 
     def close(self) -> None:
-        """Begin nothing more, and wait for what has begun."""
+        """Start no more tasks, and wait for the running ones."""
         for pool in self._pools:
             pool.shutdown()
 
     def _worker(self) -> ProcessPoolExecutor:
-        """A process, begun now: deaf to Ctrl-C, which is for us to answer, but not to our end."""
+        """Starts a worker that ignores Ctrl-C and exits with its parent."""
         context = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent)
         self._pools.add(pool)
@@ -81,17 +81,17 @@ class LocalExecutor:
 
 
 class DaskExecutor:
-    """The workers of a Dask scheduler, which must see the same files under the same paths."""
+    """Runs tasks on Dask workers, which must see the same files under the same paths."""
 
     def __init__(self, address: str) -> None:
-        """Connect; InputError without Dask, an answer or a worker."""
+        """Connect to a scheduler; InputError without Dask, an answer or a worker."""
         with optional_imports():
             from distributed import Client
         self._running: dict[Any, Any] = {}
         try:
             asyncio.run(_identify(address))
             self._client = Client(address, timeout=PATIENCE, set_as_default=False)
-        except Exception as error:  # whatever answers there may answer anything
+        except Exception as error:  # an unknown server may send any answer
             why = f"no scheduler answers: {one_line(error)}"
             raise InputError(f"--scheduler {address}: {why}") from error
         try:
@@ -125,7 +125,7 @@ class DaskExecutor:
             yield _outcome(task, future, error)
 
     def close(self) -> None:
-        """Begin nothing more, and wait for what has begun: the next run must not meet it."""
+        """Start no more tasks, and wait for the running ones, which would disturb the next run."""
         from distributed import wait as wait_for
 
         begun = list(self._running)
@@ -143,11 +143,11 @@ Executor: TypeAlias = LocalExecutor | DaskExecutor
 
 
 async def _identify(address: str) -> None:
-    """Check that a scheduler answers: a client that failed to connect cannot be closed."""
+    """Check that a scheduler answers, because a client without a connection cannot be closed."""
     from distributed import rpc
     from distributed.security import Security
 
-    keys = Security().get_connection_args("client")  # of Dask's configuration, as a client has it
+    keys = Security().get_connection_args("client")  # from Dask's configuration, as in a client
     async with rpc(address, timeout=PATIENCE, connection_args=keys) as scheduler:
         await asyncio.wait_for(scheduler.identity(), PATIENCE)
 
@@ -161,7 +161,7 @@ def _outcome(task: Task, future: Any, error: BaseException | None) -> TaskOutcom
 
 
 def _end_with_parent() -> None:
-    """End this process with the one that began it, however that ends."""
+    """End this process when its parent ends, also if that is killed."""
 
     def watch() -> None:
         parent = multiprocessing.parent_process()
@@ -174,7 +174,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """Ignore Ctrl-C for a moment, and in processes that are started in it for good."""
+    """Ignore Ctrl-C in a block, and always in processes started in it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -94,7 +94,7 @@ def fleet(
         names = ", ".join(models)
         raise InputError(f"{write_vehicle_to}: one file for {names}; give the name of a folder")
     for profile in filter(None, {car.vehicle.can_profile for car in cars}):
-        load_profile(profile)  # opened here too, for no output may be written over it
+        load_profile(profile)  # opened here too, so that no output overwrites it
     drives = (drive for car in cars for drive in car.drives)
     report = report or out / REPORT
     tables = (out / name for name in (DRIVES, CARS, POPULATION))
@@ -118,7 +118,7 @@ def fleet(
 
 @contextmanager
 def claimed(out: Path) -> Iterator[None]:
-    """Make the folder of the results for this run; InputError if it cannot or another writes."""
+    """Lock the folder of the results; InputError if it cannot be made or another run writes."""
     with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
     with as_input_error(out / LOCK):
@@ -132,7 +132,7 @@ def claimed(out: Path) -> Iterator[None]:
 def learn_fleet(
     cars: Sequence[CarDrives], out: Path, executor: Executor
 ) -> Generator[TaskOutcome[CarTask, CarDone], None, None]:
-    """Learn every car; whatever ends the iteration, what was begun ends soon after, in order."""
+    """Learn every car; however the iteration ends, running tasks then end in order."""
     tasks = (CarTask(car, car_folder(out, car), out / STOP) for car in cars)
     try:
         yield from executor.outcomes(learn_car, tasks)
@@ -156,7 +156,7 @@ def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrive
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     try:
         with (
-            stopped_by(signal.default_int_handler),  # all end it as Ctrl-C does
+            stopped_by(signal.default_int_handler),  # all act as Ctrl-C
             progress_bar("evpinn fleet", len(cars), unit="cars") as progress,
         ):
             for finished, outcome in enumerate(
@@ -180,7 +180,7 @@ def _write(summary: FleetSummary, report: Path, vehicles: Path | None) -> None:
 
 
 def _found(summary: FleetSummary) -> dict[str, Any]:
-    """For scripts; every drive and car is in the tables."""
+    """Values for scripts; the tables have all drives and cars."""
     return {
         **summary.counts,
         "failed": [{"what": what, "why": why} for what, why in summary.problems],
@@ -198,7 +198,7 @@ def _show(summary: FleetSummary, out: Path) -> None:
     if counts["problems"] > MOST_SHOWN:
         note(f"evpinn: and {counts['problems'] - MOST_SHOWN} more problems, in the tables")
     for key, population in summary.populations.items():
-        name, _, *rest = POPULATION_HEAD  # the vehicle file beside it is for the report
+        name, _, *rest = POPULATION_HEAD  # the column of the vehicle file is only for the report
         rows = [(name, *cells) for name, _, *cells in population_cells(population)]
         show(PlainTable(f"Cars of model {key}", (name, *rest), rows, unbroken=rest))
     say(f"{out}: {fleet_sentence(counts)}")

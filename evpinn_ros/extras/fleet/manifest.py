@@ -1,4 +1,4 @@
-"""Drives of each car: by the folders they lie in, or by a file that lists them."""
+"""Drives of each car, by their folders or by a file that lists them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CarDrives:
 
     @property
     def folder_name(self) -> str:
-        """The name as that of a folder."""
+        """The name of the car as a name of a folder."""
         return quote(self.car, safe=" ")
 
 
@@ -44,10 +44,10 @@ class _Line(NamedTuple):
 
 
 def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
-    """A car for each folder in a given one, or for that with drives of its own.
+    """A car for each folder in a given one, or for the given folder if it has drives itself.
 
-    Inputs are files, folders or patterns; all cars are of one vehicle. InputError: nothing is
-    there, or two folders of one name.
+    Inputs are files, folders or patterns; all cars have one vehicle file. InputError: no drives,
+    or two folders with one name.
     """
     drives: dict[Path, set[Path]] = {}
     seen: set[str] = set()
@@ -69,7 +69,7 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
     """Cars of `fleet.yaml` or a CSV; paths in it are relative to it.
 
     The YAML has `cars`, from names to `vehicle` and `drives`; the CSV has columns drive, car and
-    vehicle. InputError: unreadable, empty or contradicting itself.
+    vehicle. InputError: the file is unreadable, empty or contradictory.
     """
     drives: dict[str, set[Path]] = {}
     models: dict[str, str] = {}
@@ -84,7 +84,7 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
                 vehicles[line.vehicle] = load_model(line.vehicle, path.parent)
         for matched in _matching(line.pattern, path.parent, line.where):
             for drive in _recordings(matched):
-                real = os.path.realpath(drive)  # links may lead to one drive by two names
+                real = os.path.realpath(drive)  # two names may be links to one drive
                 if real not in owner:
                     drives.setdefault(line.car, set()).add(drive)
                 if owner.setdefault(real, line.car) != line.car:
@@ -128,10 +128,10 @@ def _matching(pattern: str, base: Path, where: str = "") -> list[Path]:
     path = base / pattern
     paths = [path]
     if not path.exists():
-        if pattern.count("**") > 1:  # each more is a walk of all folders below each folder
+        if pattern.count("**") > 1:  # each further one walks all folders below each folder
             raise InputError(f"{where or pattern}: more than one ** in a pattern")
         with as_input_error(where or pattern, ValueError):
-            # What is there under this very name is no pattern, whatever it is named.
+            # The name of an existing file is not a pattern, whatever it contains.
             folder = next(parent for parent in path.parents if parent.exists())
             paths = list(folder.glob(str(path.relative_to(folder))))
     if not paths:

@@ -30,7 +30,7 @@ MARGIN = 0.04  # of the width, on both sides
 
 
 def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
-    """Write the report; OSError where it cannot be written."""
+    """Write the report; OSError if that fails."""
     write_page(
         path,
         "fleet.html.j2",
@@ -59,14 +59,14 @@ def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
 
 
 def fleet_sentence(counts: Mapping[str, int]) -> str:
-    """Sentence of how much there is."""
+    """Sentence with the numbers of cars and drives."""
     cars, drives = (counted(counts[name], name[:-1]) for name in ("cars", "drives"))
     problems = counted(counts["problems"], "problem") if counts["problems"] else "no problem"
     return f"{cars}, {counts['learned']} of {drives} learned, {problems}."
 
 
 def population_cells(population: Population) -> list[tuple[str, ...]]:
-    """Rows under `POPULATION_HEAD`: the parameters, then what data determine."""
+    """Rows under `POPULATION_HEAD`: the parameters, then the identifiable combinations."""
     priors = population.vehicle.priors.items()
     files = {name: with_sigma(prior.value, prior.std) for name, prior in priors}
     return [
@@ -76,7 +76,7 @@ def population_cells(population: Population) -> list[tuple[str, ...]]:
 
 
 def _value_cells(name: str, shared: PopulationValue) -> tuple[str, ...]:
-    """Value with 1-sigma, spread with 1-sigma, the next car's 1-sigma, and how many cars."""
+    """Cells: value and spread, each with 1-sigma, 1-sigma of the next car, and number of cars."""
     linear = name == LINEAR  # all others are logarithms
     value = shared.mean if linear else math.exp(shared.mean)
     scale, unit = (1.0, " W") if linear else (100.0, " %")

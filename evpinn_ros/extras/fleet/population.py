@@ -1,10 +1,10 @@
 """Common distribution of cars of one model: mean and spread of their parameters (empirical Bayes).
 
-Each car's parameters are a draw from N(mean, spread), in logarithms but for p_aux. Of each car
-only the likelihood counts (`estimation.evidence`). The vehicle file is the prior: half of its
-variance is doubt of the model's mean; the other half is how cars differ, and weighs as much as a
-quarter of a car. The spread is found by expectation maximisation, the doubt of the mean counted
-(Dempster, Laird and Rubin, 1977; restricted maximum likelihood).
+Each car's parameters are a draw from N(mean, spread), in logarithms except p_aux. Of each car only
+the likelihood counts (`estimation.evidence`). The vehicle file is the prior: half of its variance
+is uncertainty of the mean; the other half is the spread between cars, and weighs as much as a
+quarter of a car. The spread is estimated by expectation maximisation, with the uncertainty of the
+mean included (Dempster, Laird and Rubin, 1977; restricted maximum likelihood).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from evpinn_ros.core.vehicle.files import Vehicle, limits_of
 from evpinn_ros.core.vehicle.identifiable import POWERS
 from evpinn_ros.core.vehicle.parameters import PARAMETER_NAMES, Prior
 
-FILE_SHARE = 0.5  # of the vehicle file's variance that is doubt of the mean, the rest spread
-FILE_CARS = 0.25  # cars that the file's word on the spread is worth
+FILE_SHARE = 0.5  # of the vehicle file's variance for the mean; the rest is spread
+FILE_CARS = 0.25  # weight of the file's spread, in cars
 MOST_STEPS, PRECISE = 3000, 1e-7  # of the expectation maximisation; of the prior's variance
 
 # Sums of logarithms that data determine.
@@ -34,17 +34,17 @@ COMBINATIONS = {
 
 @dataclass(frozen=True, slots=True)
 class PopulationValue:
-    """One parameter, or combination, of a population; logarithms but for p_aux."""
+    """One parameter or combination of a population, as logarithm except p_aux."""
 
     mean: float  # of the cars
     mean_std: float  # 1-sigma of the mean
     spread: float  # standard deviation from car to car
     spread_std: float  # 1-sigma of the spread
-    cars: float  # how many fully known cars would determine the spread as well
+    cars: float  # number of fully known cars that would determine the spread as well
 
     @property
     def new_car_std(self) -> float:
-        """1-sigma of a car not yet seen: the spread, and the doubt of the mean."""
+        """1-sigma of a new car: the spread, and the uncertainty of the mean."""
         return math.hypot(self.spread, self.mean_std)
 
 
@@ -64,15 +64,15 @@ class Population:
         self._spread_doubt = _spread_doubt(self._root.T @ weight @ precision @ self._root)
 
     def value(self, name: str) -> PopulationValue:
-        """One of `PARAMETER_NAMES` or of `COMBINATIONS`."""
+        """The value of one of `PARAMETER_NAMES` or `COMBINATIONS`."""
         return self._along(_direction(name))
 
     def of_file(self, name: str) -> tuple[float, float]:
-        """Mean and 1-sigma of the same in the vehicle file."""
+        """Mean and 1-sigma of a parameter or combination by the vehicle file."""
         return self.of_car(name, NO_EVIDENCE)
 
     def of_car(self, name: str, car: Evidence) -> tuple[float, float]:
-        """Mean and 1-sigma of the same of one car: the vehicle file and its own evidence."""
+        """Mean and 1-sigma of it for one car, from the vehicle file and the car's evidence."""
         direction = _direction(name)
         scaled = direction * self._scale
         doubt = np.linalg.inv(np.eye(SIZE) + car.precision)
@@ -80,11 +80,11 @@ class Population:
         return float(mean), math.sqrt(scaled @ doubt @ scaled)
 
     def covariance(self) -> np.ndarray:
-        """From car to car, of the logarithms, and of p_aux, shape (6, 6)."""
+        """Covariance between cars of the logarithms and of p_aux, shape (6, 6)."""
         return self._spread * np.outer(self._scale, self._scale)
 
     def priors(self, source: str) -> Vehicle:
-        """The vehicle with the priors for the next car of this model."""
+        """The vehicle with priors for the next car of this model."""
         priors = {name: self._new_prior(name, source) for name in PARAMETER_NAMES}
         return replace(self.vehicle, priors=priors, correlations={}, paper_start={})
 
@@ -97,7 +97,7 @@ class Population:
         return Prior(value, std, f"{source}: worth {shared.cars:.1f} cars")
 
     def _along(self, direction: np.ndarray) -> PopulationValue:
-        """Estimate of a sum of parameters, `direction` in their own units."""
+        """Estimate of a linear combination of parameters with weights `direction`, shape (6,)."""
         scaled = direction * self._scale
         spreads = scaled @ self._root
         variance = float(spreads @ spreads)
@@ -120,7 +120,7 @@ def _direction(name: str) -> np.ndarray:
 
 
 def _weight(precision: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """(1 + precision spread)^-1 of each car, shape (n, 6, 6)."""
+    """Weight (1 + precision spread)^-1 of each car, shape (n, 6, 6)."""
     return np.linalg.inv(np.eye(SIZE) + precision @ spread)
 
 
@@ -134,7 +134,7 @@ def _mean(
 def _spread_doubt(informed: np.ndarray) -> np.ndarray:
     """Covariance of the spread's elements, shape (36, 36): inverse Fisher information.
 
-    `informed` is (spread + precision^-1)^-1 of each car, shape (n, 6, 6), where the spread is 1.
+    `informed` is (spread + precision^-1)^-1 of each car, shape (n, 6, 6), in units of the spread.
     """
     flat = informed.reshape(-1, SIZE**2)
     information = (flat.T @ flat).reshape((SIZE,) * 4).transpose(0, 2, 1, 3)

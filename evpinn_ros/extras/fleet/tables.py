@@ -1,4 +1,4 @@
-"""Results of a fleet as Parquet, made from the cars' files one by one, so memory stays flat."""
+"""Results of a fleet as Parquet, made from the files of one car after the other to save memory."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from evpinn_ros.extras.fleet.population import COMBINATIONS, Population
 from evpinn_ros.replays.trends import DrivePoint
 
 DRIVES, CARS, POPULATION = "drives.parquet", "cars.parquet", "population.parquet"
-ROWS = 2000  # written at a time
-SHOWN = 200  # cars and problems kept for people; the tables hold all
+ROWS = 2000  # written together
+SHOWN = 200  # cars and problems for people; the tables have all
 CHARTED = 30  # cars of a model in the charts of the report
 
 PARAMETER_TYPES = {
@@ -72,20 +72,20 @@ class FleetSummary:
     problems: list[tuple[str, str]] = field(default_factory=list)  # `SHOWN` failures
     # evidence of the first `CHARTED` cars of a population, by model and car
     known: dict[str, dict[str, Evidence]] = field(default_factory=lambda: defaultdict(dict))
-    # of the drives of each model, for trends
+    # points of the drives of each model, for trends
     points: dict[str, list[DrivePoint]] = field(default_factory=lambda: defaultdict(list))
     counts: Counter[str] = field(default_factory=Counter)  # all cars, drives, learned, problems
 
 
 def require_extra() -> None:
-    """Check that the extra is installed, before hours of work."""
+    """Check that the extra is installed, before hours of work; or InputError."""
     with optional_imports():
         import jinja2  # noqa: F401
         import pyarrow.parquet  # noqa: F401
 
 
 def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str]) -> FleetSummary:
-    """Write the tables of drives, cars and populations; `failed`: cars that failed, and why."""
+    """Write the tables of drives, cars and populations; `failed` has the reason by failed car."""
     summary = FleetSummary()
     evidence_of_model: dict[str, list[Evidence]] = defaultdict(list)
     vehicles: dict[str, Vehicle] = {}
@@ -120,7 +120,7 @@ def write_tables(out: Path, fleet: Sequence[CarDrives], failed: Mapping[str, str
 
 
 def population_rows(key: str, population: Population) -> Iterator[dict[str, Any]]:
-    """A row for each parameter and each combination that data determine."""
+    """A row for each parameter and each identifiable combination."""
     covariance = dict(zip(PARAMETER_NAMES, population.covariance().tolist(), strict=True))
     for name in (*PARAMETER_NAMES, *COMBINATIONS):
         shared = population.value(name)
@@ -165,7 +165,7 @@ def _count(summary: FleetSummary, car: dict[str, Any], rows: Sequence[dict[str, 
 
 @contextmanager
 def _table(path: Path, columns: Mapping[str, str]) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Function that adds a row to a table, which takes the place of the old once it is whole."""
+    """Yields a function that adds a row to a table; the complete table replaces the old one."""
     import pyarrow
     from pyarrow.parquet import ParquetWriter
 

@@ -1,4 +1,4 @@
-"""A recorded drive as the paper sees one: arrays of time, speed, acceleration and power."""
+"""A recorded drive in the form of the paper: arrays of time, speed, acceleration and power."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.sources import open_source
 
 MIN_SAMPLES = 100
-# Future in the local quadratic of `signals.kinematics`: dv/dt of a finished log need not be
-# causal. The paper differentiates an input and does not say how.
+# Future samples in the local quadratic of `signals.kinematics`: dv/dt of a finished log need not
+# be causal. The paper does not say how it differentiates speed.
 SMOOTHING_AHEAD = 0.3  # s
 DELAYS = np.linspace(-0.4, 0.4, 41)  # s, candidates
-LEAST_GAIN = 0.01  # share of what is unexplained that a delay must take away to be used
+LEAST_GAIN = 0.01  # share of the unexplained variance that a delay must remove to be used
 MOST_UNEXPLAINED = 0.5  # share of the variance of power
 
 
@@ -40,18 +40,18 @@ class DriveLog(NamedTuple):
 
 
 class ReadLog(NamedTuple):
-    """A log as it was read."""
+    """A log, and what was done in reading it."""
 
     drive: DriveLog  # its samples
-    delay: float  # of speed behind power, s, taken out
-    dropped: Mapping[str, int]  # what was not used, by reason
+    delay: float  # removed delay of speed behind power, s
+    dropped: Mapping[str, int]  # counts of unused readings, by reason
 
 
 def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> ReadLog:
-    """Read a log without its delay of speed, and what the estimator would drop.
+    """Read a log; removes the delay of speed, and the readings that the estimator would drop.
 
-    50 ms of delay move C_rr by several percent. InputError: no log, time goes back, or fewer than
-    `MIN_SAMPLES` samples.
+    A delay of 50 ms changes C_rr by several percent. InputError: unreadable, time goes back, or
+    fewer than `MIN_SAMPLES` samples.
     """
     drive, dropped = _read(path, vehicle, options, 0.0)
     delay = speed_delay(drive, vehicle)
@@ -61,7 +61,7 @@ def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEF
 
 
 def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
-    """Delay of speed, s, at which least squares of eq. 21 explain most; 0 if not clear."""
+    """Delay of speed, s, with the best least-squares fit of eq. 21; 0 if not clear."""
     left = np.array([_unexplained(log, vehicle, delay) for delay in DELAYS])
     best = int(np.argmin(left))
     without = float(np.interp(0.0, DELAYS, left))
@@ -75,7 +75,7 @@ def speed_delay(log: DriveLog, vehicle: Vehicle) -> float:
 
 
 def _unexplained(log: DriveLog, vehicle: Vehicle, delay: float) -> float:
-    """Share of the power's variance that eq. 21 leaves, `delay` before each sample of speed."""
+    """Share of the variance of power unexplained by eq. 21, with speed `delay` s earlier."""
     inside = (log.time - DELAYS[-1] >= log.time[0]) & (log.time - DELAYS[0] <= log.time[-1])
     _, speed, acceleration, _ = chosen_rows(log, inside)
     power = np.interp(log.time[inside] - delay, log.time, log.power)
@@ -102,7 +102,7 @@ def _read(
         if isinstance(item, Jump):
             raise InputError(f"{path}: time goes back within the log; cut it there")
         for reading in item.readings():
-            if isinstance(reading, SpeedReading):  # as if it had not been delayed
+            if isinstance(reading, SpeedReading):  # without its delay
                 reading = replace(reading, stamp_ns=reading.stamp_ns - earlier_ns)
             readings.append(reading)
     samples, power, *_ = stream.add(in_order(Block.of(readings))).measured

@@ -1,25 +1,25 @@
 """The paper's Runge-Kutta network for energy, as published, beside a plain network (Table IV).
 
 N1 to N4 of eq. 26-29 have three tanh layers of 32 each; the plain network (DNN) has three of 65,
-1.2 % more weights. Both are trained by Adam, rate 1e-2, each epoch one batch of all training
-steps, on the same random 80/20 split. What the paper leaves open is settled so:
+1.2 % more weights. Both are trained by Adam, rate 1e-2, with one batch of all training steps per
+epoch, on the same random 80/20 split. Choices that the paper leaves open:
 
 - **Reference.** E_RK4 is classical Runge-Kutta on the measured power, with P(t + dt/2) the mean of
 both ends: the trapezoid.
 
-- **Loss.** A mean, as Table IV must be. E(t) is the true one and cancels: each loss is of the
-energy of a step.
+- **Loss.** A mean, as Table IV must be. E(t) is the true energy and cancels: each loss is that of
+the energy of a step.
 
-- **Units.** The mean dt and the RMS energy of a step, so that eq. 25 stays literal and a network
-that says nothing has loss 1. E(t) enters the networks within -1 to 1.
+- **Units.** The mean dt and the RMS energy of a step, so that eq. 25 keeps its form and a network
+with output 0 has loss 1. E(t) is scaled to -1 to 1.
 
-- **DNN.** From P(t), P(t + dt/2), P(t + dt), E(t) and dt directly to the energy of the step.
+- **DNN.** It maps P(t), P(t + dt/2), P(t + dt), E(t) and dt to the energy of the step.
 
-- **Initial weights** are PyTorch's own; Glorot's rule started the DNN at 0.8 to 1.5.
+- **Initial weights** are PyTorch's own; with Glorot's rule the DNN started at losses 0.8 to 1.5.
 
-- **Epoch** n of the table is the loss that makes the n-th update: epoch 1 is untrained.
+- **Epoch** n of the table is the loss before the n-th update: epoch 1 is untrained.
 
-- **Split.** Neighbours of a validation step are trained on: its loss says nothing of a new drive.
+- **Split.** Neighbours of validation steps are training data: the loss is not that of a new drive.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from evpinn_ros.core.energy.rknn import ARGUMENTS, HIDDEN, energy_step, slopes
 from evpinn_ros.extras.paper.checkpoint import adam_state, load_adam_state
 from evpinn_ros.extras.paper.published import EnergyRow
 
-# For Fig. 8, 50 per decade as far as whole numbers go; the epochs of the table are among them.
+# For Fig. 8: up to 50 epochs per decade, including those of the table.
 CURVE_EPOCHS = frozenset(round(10 ** (i / 50)) for i in range(201))
 DNN_HIDDEN = (65, 65, 65)
 LEARNING_RATE = 1e-2
 TRAINING_SHARE = 0.8
-MAX_GAP = 2.5  # s; power is not held to be known between samples further apart
+MAX_GAP = 2.5  # s; power is unknown between samples further apart
 MIN_STEPS = 50
-SETTLED = 1e-9  # mean steps: a roll-out that moves by less is done
+SETTLED = 1e-9  # mean steps: change below which a roll-out has converged
 
 
 class StepData(NamedTuple):
@@ -62,7 +62,7 @@ class StepData(NamedTuple):
 def step_data(time: np.ndarray, power: np.ndarray) -> StepData:
     """Steps to train on and their energy, of time, s, and power, W; InputError for too few.
 
-    Steps longer than `MAX_GAP`, not forward in time or not finite are left out.
+    Steps that are longer than `MAX_GAP`, not forward in time or not finite are left out.
     """
     steps, _ = _usable_steps(time, power)
     if len(steps.dt) < MIN_STEPS:
@@ -73,7 +73,7 @@ def step_data(time: np.ndarray, power: np.ndarray) -> StepData:
 
 
 def _usable_steps(time: np.ndarray, power: np.ndarray) -> tuple[StepData, np.ndarray]:
-    """The steps that can be integrated, and the index of the sample at which each begins."""
+    """The steps that can be integrated, and the index of the first sample of each."""
     dt = np.diff(time)
     has_power = np.isfinite(power[:-1]) & np.isfinite(power[1:])
     starts = np.flatnonzero(has_power & (dt > 0) & (dt <= MAX_GAP))
@@ -99,7 +99,7 @@ class _Units(NamedTuple):
 
 
 class _TanhNetwork(nn.Module):
-    """Tanh layers and a linear one on arguments that are first divided by their scales."""
+    """Tanh layers and a linear one; arguments are first divided by their scales."""
 
     scales: Tensor
 
@@ -133,14 +133,14 @@ class _Networks(nn.Module):
         return torch.stack((energy_step(ks, steps.dt), self.plain(*inputs, energy[1])))
 
     def losses(self, steps: StepData) -> Tensor:
-        """Eq. 30, as means, shape (2,), RKNN first."""
+        """Mean losses of eq. 30, shape (2,), RKNN first."""
         errors: Tensor = self(steps, steps.energy.expand(2, -1)) - steps.step_energy
         return errors.square().mean(dim=1)
 
     def rolled_out(self, steps: StepData) -> Tensor:
-        """Energy of each step, shape (2, n), each from the sum of those before.
+        """Energy of each step from the sum of earlier ones, shape (2, n), RKNN first.
 
-        Sweeps over all steps at once; as the networks hardly heed E, six do for thousands.
+        It iterates over all steps at once: as E hardly matters, six iterations do for thousands.
         """
         energy: Tensor = steps.energy.expand(2, -1)
         gained: Tensor = steps.step_energy.expand(2, -1)
@@ -153,15 +153,15 @@ class _Networks(nn.Module):
 
 
 class EnergyTraining:
-    """Training of both networks, which can be interrupted and resumed to the same numbers."""
+    """Training of both networks; interrupted and resumed, it gives the same numbers."""
 
     def __init__(self, data: StepData, *, seed: int, device: str = "cpu") -> None:
-        """Untrained networks on a device of torch; the seed draws their weights and the split."""
-        self.losses: list[EnergyRow] = []  # of every epoch in `CURVE_EPOCHS` so far
+        """Make untrained networks on a torch device; the seed draws weights and split."""
+        self.losses: list[EnergyRow] = []  # at the epochs of `CURVE_EPOCHS` so far
         self.epoch = 0  # epochs trained
         self._units = _Units(float(data.dt.mean()), float((data.step_energy**2).mean() ** 0.5))
         steps = self._units.scaled(data, torch.float32)
-        with torch.random.fork_rng(devices=[]):  # the caller's random numbers stay as they were
+        with torch.random.fork_rng(devices=[]):  # keeps the caller's random state
             torch.manual_seed(seed)
             shuffled = torch.randperm(len(data.dt))
             reached = steps.energy + steps.step_energy
@@ -170,11 +170,11 @@ class EnergyTraining:
         self._train, self._validation = (
             StepData(*(column[rows].to(device) for column in steps)) for rows in parts
         )
-        # One Adam serves both: it treats every weight by itself.
+        # One Adam for both: it treats every weight separately.
         self._adam = torch.optim.Adam(self._networks.parameters(), LEARNING_RATE, foreach=True)
 
     def run_to(self, epoch: int, on_epoch: Callable[[int, float], None] | None = None) -> None:
-        """Train on eq. 30 up to a total of epochs; InputError if a loss is not finite."""
+        """Train on eq. 30 up to this epoch; InputError if a loss is not finite."""
         while self.epoch < epoch:
             losses = self._networks.losses(self._train)
             number, (rknn, dnn) = self.epoch + 1, losses.tolist()
@@ -192,7 +192,7 @@ class EnergyTraining:
                 on_epoch(number, rknn)
 
     def state(self) -> dict[str, Tensor]:
-        """State that training has made."""
+        """State of the training, for `load_state`."""
         state = {"epoch": torch.tensor(self.epoch)}
         state["losses"] = torch.tensor(self.losses, dtype=torch.float64).reshape(-1, 5)
         for name, value in self._networks.state_dict().items():
@@ -209,7 +209,7 @@ class EnergyTraining:
 
     @torch.no_grad()
     def integrate(self, time: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Energy by RKNN and by DNN, J, shape (n,), each from its own so far (Fig. 9)."""
+        """Energy by RKNN and by DNN, J, (n,), each step from the network's own sum (Fig. 9)."""
         steps, starts = _usable_steps(time, power)
         networks = deepcopy(self._networks).cpu().double()
         gained = np.zeros((2, len(time)))

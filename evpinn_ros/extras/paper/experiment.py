@@ -1,7 +1,7 @@
 """The paper's experiment on one drive: trainings, tables and baselines.
 
-Three resumable trainings: the power network under the paper's random split and under a
-chronological one, and the energy networks; then the yardsticks of `scores` on the same samples.
+It runs three resumable trainings: the power network under the paper's random split and under a
+chronological one, and the energy networks; then the baselines of `scores` on the same samples.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from evpinn_ros.extras.paper.scores import (
 from evpinn_ros.extras.paper.settings import OptimizerName, Settings
 
 CHECKPOINT_EVERY = 100  # epochs
-CHECKPOINT_VERSION = 2  # of what a file holds and of the constants it was trained with
+CHECKPOINT_VERSION = 2  # of the content of a file and of the training's constants
 PROGRESS_EVERY = 10  # epochs
 RANDOM, CHRONOLOGICAL, WHOLE = "random 20 %", "last 20 %", "all of it"
 NETWORK, TIME_HELD = "network", "network, time held"
@@ -68,15 +68,15 @@ class Scored(NamedTuple):
 class EnergyCurves(NamedTuple):
     """Energy since the first sample, J, shape (n,) each."""
 
-    measured: np.ndarray  # exact quadrature of the measured power
-    predicted: np.ndarray  # exact quadrature of the network's power
+    measured: np.ndarray  # exact integral of the measured power
+    predicted: np.ndarray  # exact integral of the network's power
     rknn: np.ndarray  # the Runge-Kutta network of the paper, rolled out over the measured power
-    dnn: np.ndarray  # the plain network, rolled out as well
+    dnn: np.ndarray  # the plain network, also rolled out
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Basis of the tables, figures and files."""
+    """Results behind the tables, figures and files."""
 
     log: DriveLog
     vehicle: Vehicle
@@ -95,16 +95,16 @@ class Outcome:
 
 
 class Experiment:
-    """Runs the trainings of one drive, keeping each in a folder."""
+    """Runs the trainings of one drive, and saves each in a folder."""
 
     def __init__(self, log: DriveLog, vehicle: Vehicle, settings: Settings, folder: Path) -> None:
         self._log, self._vehicle, self._settings = log, vehicle.as_published, settings
         self._folder = folder
 
     def run(self, on_progress: OnProgress) -> Outcome:
-        """Train and score what is not yet; InputError if a training diverged."""
+        """Finish all trainings and score them; InputError if a training diverged."""
         log, settings = self._log, self._settings
-        steps = step_data(log.time, log.power)  # first: what it refuses is refused at once
+        steps = step_data(log.time, log.power)  # first, to refuse a wrong log at once
         count = len(log.time)
         split = random_split(count, settings.seed)
         training = self._power(TRAININGS[0], split, on_progress)
@@ -172,9 +172,9 @@ class Experiment:
         settings: tuple[object, ...],
         on_progress: OnProgress,
     ) -> None:
-        """Run a training to its end from where its file left it; its last setting is the end."""
+        """Continue a training from its file to its end, the last of `settings`."""
         epochs = int(str(settings[-1]))
-        # All inputs that it is made from; each key has a file of its own.
+        # The key has all inputs of the training; each key has its own file.
         data = hashlib.sha256(b"".join(column.tobytes() for column in self._log)).hexdigest()
         vehicle = hashlib.sha256(repr(self._vehicle).encode()).hexdigest()
         key = json.dumps([CHECKPOINT_VERSION, title, data, vehicle, *map(str, settings)])
@@ -218,7 +218,7 @@ def _scores(training: Optimizer, split: str) -> list[Scored]:
     powers = {
         NETWORK: problem.predicted_power(training.network, held),
         REGRESSION: least_squares_power(problem)[0],
-        # Between the neighbours trained on a line; after the last of them its power is held.
+        # Interpolated between neighbouring training samples; held after the last one.
         BASELINES[split]: np.interp(held.time, trained.time, trained.power),
     }
     if split == CHRONOLOGICAL:

@@ -4,9 +4,9 @@ The damped step dw = (J^T J + d I)^-1 J^T r of the weights equals
 
     dw = J^T (J J^T + d I)^-1 r
 
-(push-through identity), a system of one unknown per sample instead of one per weight: 1000 in
-place of 50 049. For a fully connected network J need never be formed. With the activations A_l
-that enter layer l and the derivatives D_l of the output by what leaves it,
+(push-through identity), a system with one unknown per sample instead of one per weight: 1000
+instead of 50 049. For a fully connected network J is never formed. With the activations A_l that
+enter layer l and the derivatives D_l of the output by the outputs of layer l,
 
     J J^T = sum over l of (A_l A_l^T + 1) o (D_l D_l^T)      (o elementwise)
 
@@ -19,20 +19,20 @@ import torch
 
 from evpinn_ros.extras.paper.network import PowerNetwork
 
-LEAST_DAMPING = 1e-3  # of `levenberg_marquardt`, which keeps what the samples do not determine
-LESS, MORE = 1.0 / 3.0, 5.0  # factors of the damping after a step that helped, and any other
-MOST_DAMPING = 1.0  # of the mean diagonal; beyond it a step is no more than a gradient's
+LEAST_DAMPING = 1e-3  # of `levenberg_marquardt`; keeps undetermined directions
+LESS, MORE = 1.0 / 3.0, 5.0  # factors of the damping after an accepted and a refused step
+MOST_DAMPING = 1.0  # of the mean diagonal; above it a step is a gradient step
 
 
 class Linearised:
-    """A network linearised at its present weights and samples."""
+    """A network linearised at its present weights, for some samples."""
 
     @torch.no_grad()
     def __init__(self, network: PowerNetwork, inputs: torch.Tensor, target: torch.Tensor) -> None:
-        """Linearise about inputs of shape (n, inputs) and the wanted output, shape (n,)."""
+        """Linearise for inputs, shape (n, inputs), and wanted outputs, shape (n,)."""
         output, *layers = network.sweep(inputs)
         self._layers = list(zip(*layers, strict=True))
-        self.residual = target - output  # the target less the output, shape (n,)
+        self.residual = target - output  # target minus output, shape (n,)
         self.system = inputs.new_zeros(len(inputs), len(inputs))  # J J^T, shape (n, n)
         for entering, derivative in self._layers:
             self.system += (entering @ entering.T + 1.0) * (derivative @ derivative.T)
@@ -41,7 +41,7 @@ class Linearised:
     def step(self, damping: float) -> torch.Tensor | None:
         """The step of all weights towards the target; None if numerically singular.
 
-        `damping` is d over the mean of the diagonal of J J^T; in the order of
+        `damping` is d over the mean diagonal of J J^T; weights are in the order of
         `PowerNetwork.vector`.
         """
         damped = self.system.clone()
@@ -61,7 +61,7 @@ def gauss_newton_step(
 ) -> torch.Tensor:
     """The step of all weights that brings the output to a target; zero if none helps.
 
-    Where single precision cannot factor the system, the damping is raised tenfold.
+    If single precision cannot factor the system, the damping is raised tenfold.
     """
     linearised = Linearised(network, inputs, target)
     while damping <= MOST_DAMPING:
@@ -78,8 +78,8 @@ def levenberg_marquardt(
 ) -> float:
     """Move a network's output towards a target, in place; returns the damping.
 
-    A step is taken only when it lessens the mean square of the residual; the damping falls after
-    such a step and rises after any other (Marquardt, 1963).
+    A step is accepted only if it reduces the mean square of the residual; the damping falls after
+    an accepted step and rises after a refused one (Marquardt, 1963).
     """
     moved = True
     for _ in range(steps):
@@ -89,7 +89,7 @@ def levenberg_marquardt(
         step, moved = linearised.step(damping), False
         if step is not None:
             network.load_vector(weights + step)
-            # An error that is not finite is no better.
+            # An error that is not finite refuses the step.
             moved = bool(torch.mean((target - network(inputs)) ** 2) < least)
         if moved:
             damping = max(LESS * damping, LEAST_DAMPING)

@@ -1,12 +1,12 @@
 """`mode: paper`: the EV-PINN as published, trained online over a sliding window.
 
-Four layers of 128 with tanh, speed and time in, battery power out; the five parameters trained
-together with the network by Adam at a learning rate of their own; the loss of eq. 22 with lambda =
-0.1; initial values of eq. 24, 25 (`Vehicle.as_published`), a warm start once a second.
+The network has four tanh layers of 128, speed and time in, battery power out. Adam trains it
+together with the five parameters, which have their own learning rate, on the loss of eq. 22 with
+lambda = 0.1, from the values of eq. 24, 25 (`Vehicle.as_published`), and warm-starts every second.
 
 `PaperOptimizer.GAUSS_NEWTON` minimises the same loss: it solves for the parameters at the measured
-power (`paper.log_parameters`) and brings the network to (P + lambda P_physics) / (1 + lambda) by
-Levenberg-Marquardt (`paper.gauss_newton`). Left open by the paper:
+power (`paper.log_parameters`) and fits the network to (P + lambda P_physics) / (1 + lambda) by
+Levenberg-Marquardt (`paper.gauss_newton`). Choices that the paper leaves open:
 
 - power is normalised by `POWER_SCALE`, speed by `SPEED_SCALE`, time runs from -1 to 0 over the
 window; both losses are means over the window in these units;
@@ -57,15 +57,15 @@ from evpinn_ros.extras.paper.network import (
 )
 
 WINDOW = 60.0  # s
-EPOCHS = 20  # per update, a fixed budget: never one of wall time
+EPOCHS = 20  # per update, a fixed number, independent of wall time
 SPEED_SCALE = 30.0  # m/s
 POWER_SCALE = 20_000.0  # W
 GAUSS_NEWTON_STEPS = 4  # per update; a window of 600 samples takes about 20 ms for each
 FIRST_DAMPING = 1e-2
-KINK_SHARPNESS = 0.5  # of the first layer's start; with 0.1 the loss falls ten times slower
+KINK_SHARPNESS = 0.5  # of the first layer at the start; with 0.1 the loss falls ten times slower
 MIN_SAMPLES = 50
-NOISE_MEMORY = 300.0  # samples over which the size of the residuals is followed
-FAR = 5.0  # log values beyond this are no car's
+NOISE_MEMORY = 300.0  # samples over which the variance of residuals is averaged
+FAR = 5.0  # log values above this are impossible
 
 
 class Window(NamedTuple):
@@ -81,7 +81,7 @@ class Window(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """Result of an update: all that the next one starts from."""
+    """Result of an update, from which the next one starts."""
 
     network: PowerNetwork
     log_scale: torch.Tensor
@@ -95,7 +95,7 @@ WEIGHTS = sum((inputs + 1) * outputs for inputs, outputs in pairwise(PAPER_WIDTH
 
 @dataclass(frozen=True, slots=True)
 class SavedPaper:
-    """Weights in a row, logarithms of the learned over their initial values, and noise, W^2."""
+    """Weights in a row, logarithms of learned over initial values, and noise, W^2."""
 
     SAME = ("regen_form",)
 
@@ -125,7 +125,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         form: RegenForm = RegenForm.RECOVERY,
         optimizer: PaperOptimizer = PaperOptimizer.ADAM,
     ) -> None:
-        """Start at the vehicle's published values with a fresh network."""
+        """Start at the vehicle's published values with an untrained network."""
         self._vehicle = vehicle = vehicle.as_published
         self._form = form
         self._optimizer = optimizer
@@ -148,7 +148,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         self.gated: Counter[str] = Counter()
 
     def follow(self, span: Span) -> Predictions:
-        """Predict the samples of a span, each by what was learned before it, and learn."""
+        """Predict each sample of a span by the network trained before it, and learn."""
         count, passed, _ = span.sizes
         newest, smoothed = np.empty((count, 2)), np.empty((passed, 2))
         kinds = (
@@ -165,7 +165,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         return Predictions(newest, smoothed, np.full((passed, 2), np.nan))
 
     def predict(self, sample: Sample) -> tuple[float, float]:
-        """Power of the network, W (the prior's physics until the first update), and 1-sigma."""
+        """Power of the network (of the prior until the first update) and its 1-sigma, W."""
         sigma = float(np.sqrt(self._variance))
         if self._fresh:
             return float(self._physics(sample, self._values())), sigma
@@ -188,7 +188,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
             self._window.popleft()
 
     def prepare_update(self) -> Callable[[], Trained] | None:
-        """Train a copy on a snapshot of the window, by a fixed number of steps."""
+        """A function that trains a copy on a snapshot of the window in a fixed number of steps."""
         if len(self._window) < MIN_SAMPLES or self._last_ns is None:
             return None
         rows = [
@@ -218,7 +218,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         return None
 
     def parameters(self) -> ParameterSet:
-        """Estimate, and 1-sigma from curvature, priors and what drifted off them."""
+        """Parameters with 1-sigma from curvature, priors, and the drift from these."""
         values = self._values()
         variance = np.diag(self._trained.covariance)
         share = np.minimum(1.0, variance / self._parameters.prior_std**2)
@@ -258,7 +258,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         self._last_ns = None
 
     def saved(self) -> SavedPaper:
-        """Weights and scale of the trained network, and its standing load."""
+        """State to save: weights, log parameters, noise and standing load."""
         return SavedPaper(
             network=self._trained.network.vector().detach().numpy(),
             log_scale=self._trained.log_scale.detach().numpy(),
@@ -270,7 +270,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         )
 
     def take(self, saved: SavedPaper) -> None:
-        """Go on from a saved state; the optimizer's memory starts anew."""
+        """Go on from a saved state with a new memory of the optimizer."""
         network = deepcopy(self._trained.network)
         network.load_vector(torch.tensor(saved.network, dtype=torch.float32))
         log_scale = torch.tensor(saved.log_scale, dtype=torch.float32)
@@ -292,7 +292,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         return power + sample.known_auxiliary
 
     def _train(self, before: Trained, data: Window) -> Trained:
-        """One update: P_aux by its definition, the rest by eq. 22."""
+        """One update: P_aux by its definition, other parameters and weights by eq. 22."""
         before = before._replace(
             p_aux=standing_load(data.speed, data.power - data.known_auxiliary, before.p_aux)
         )
@@ -331,7 +331,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
     def _gauss_newton(
         self, before: Trained, physics: Physics, power: torch.Tensor, inputs: torch.Tensor
     ) -> Trained:
-        """The parameters that fit the window, and `GAUSS_NEWTON_STEPS` of the network."""
+        """Solve for the parameters of the window, then train for `GAUSS_NEWTON_STEPS`."""
         fit = self._parameters.fit(physics, power, before.log_scale)
         target = (power + PHYSICS_LOSS * physics(fit.log_scale)) / (1.0 + PHYSICS_LOSS)
         damping = levenberg_marquardt(

@@ -1,13 +1,13 @@
 """The five parameters of the paper as logarithms over their initial values, and their best fit.
 
 A parameter is its initial value (eq. 24, 25) times exp(z). For any given power the best parameters
-are a least-squares problem in five unknowns; the vehicle file's priors hold the direction that no
+solve a least-squares problem in five unknowns; the vehicle file's priors fix the direction that no
 data determine:
 
 minimise over z   sum (P - P_physics(z))^2 / (c s^2) + sum (z_i / prior_i)^2,
 
-s^2 the variance of the residuals, c the number of neighbours that say the same. Its curvature is
-Laplace's covariance.
+with s^2 the variance of the residuals and c the number of samples that count as one. Its curvature
+gives Laplace's covariance.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from evpinn_ros.core.vehicle.physics import auxiliary_power
 
 LEARNED = ("eta", "mu", "mass", "c_rr", "c_d")
 ITERATIONS = 20  # at most
-CONVERGED = 1e-5  # of z: far below any 1-sigma, and within reach of single precision
-LONGEST_STEP = 0.5  # of z: a Gauss-Newton step further than this leaves where it is valid
-LEAST_NOISE = 60.0  # W, 1-sigma of the residuals, however well the data fit
-CORRELATED_SAMPLES = 5.0  # samples of a 10 Hz stream that count as one
+CONVERGED = 1e-5  # of z: far below any 1-sigma, possible in single precision
+LONGEST_STEP = 0.5  # of z: a longer Gauss-Newton step is not valid
+LEAST_NOISE = 60.0  # W, least 1-sigma of the residuals
+CORRELATED_SAMPLES = 5.0  # correlated samples at 10 Hz that count as one
 COMBINATIONS = {name: POWERS[name] for name in IDENTIFIABLE_NAMES if name != "p_aux"}
 
 Physics: TypeAlias = Callable[[torch.Tensor], torch.Tensor]  # power, shape (n,), at z
@@ -39,7 +39,7 @@ class ParameterFit(NamedTuple):
 
     log_scale: torch.Tensor  # z, shape (5,), in the order of `LEARNED`
     covariance: np.ndarray  # of z, shape (5, 5)
-    converged: bool  # False when the iterations did not settle
+    converged: bool  # False if the iterations did not converge
 
 
 class LogParameters:
@@ -52,7 +52,7 @@ class LogParameters:
         self._precision = np.diag(self.prior_std**-2.0)
 
     def tensors(self, log_scale: torch.Tensor, p_aux: float) -> Parameters:
-        """The parameters at z, shape (5,), as tensors; P_aux, W, is no free one."""
+        """The parameters at z, shape (5,), as tensors; P_aux, W, is given, not learned."""
         initial = torch.tensor(self._initial, dtype=log_scale.dtype, device=log_scale.device)
         return Parameters._make([*(initial * torch.exp(log_scale)), p_aux])
 
@@ -65,7 +65,7 @@ class LogParameters:
     def fit(
         self, physics: Physics, power: torch.Tensor, start: torch.Tensor, unit: float = 1.0
     ) -> ParameterFit:
-        """The z (from `start`) at which a physics fits a power, in `unit` W, and the priors."""
+        """The z, from `start`, that best fits a power, (n,), in `unit` W, and the priors."""
         log_scale, converged = start.detach().clone(), False
         for _ in range(ITERATIONS):
             curvature, slope = self._normal_equations(physics, power, log_scale, unit)
@@ -87,7 +87,7 @@ class LogParameters:
     def _normal_equations(
         self, physics: Physics, power: torch.Tensor, log_scale: torch.Tensor, unit: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Curvature, shape (5, 5), and slope, (5,), of what is minimised."""
+        """Curvature, shape (5, 5), and gradient, (5,), of the minimised sum."""
         log_scale = log_scale.detach()
         jacobian = torch.func.jacfwd(physics)(log_scale)
         rows = jacobian.double().cpu().numpy()

@@ -15,10 +15,10 @@ PARAMETER_RATE = 2e-3  # Adam, of log values
 
 
 class PowerNetwork(nn.Module):
-    """Layers with tanh between them: normalised (n, widths[0]) in, (n,) out."""
+    """Layers with tanh between them: normalised inputs (n, widths[0]), outputs (n,)."""
 
     def __init__(self, widths: Sequence[int], *, seed: int, dtype: torch.dtype) -> None:
-        """Initialise by Glorot's rule from a seed of its own, so that runs repeat exactly."""
+        """Initialise by Glorot's rule from a seed, so that runs repeat exactly."""
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
         self.layers = [
@@ -41,7 +41,7 @@ class PowerNetwork(nn.Module):
     def sweep(
         self, inputs: torch.Tensor
     ) -> tuple[torch.Tensor, list[torch.Tensor], list[torch.Tensor]]:
-        """Output, activations A_l that enter each layer, and derivatives D_l by what leaves it."""
+        """Output, input activations A_l of each layer, and derivatives D_l by its outputs."""
         activations = [inputs]
         for layer in self.layers[:-1]:
             activations.append(torch.tanh(layer(activations[-1])))
@@ -61,7 +61,7 @@ class PowerNetwork(nn.Module):
 
 
 def paper_adam(network: PowerNetwork, log_scale: torch.Tensor) -> torch.optim.Adam:
-    """Adam as published: a rate for the layers, and one for z of the parameters, shape (5,)."""
+    """Adam as published: one rate for the layers, one for z of the parameters, shape (5,)."""
     return torch.optim.Adam(
         [
             {"params": list(network.parameters()), "lr": NETWORK_RATE},
@@ -74,9 +74,9 @@ def paper_adam(network: PowerNetwork, log_scale: torch.Tensor) -> torch.optim.Ad
 def spread_over_time(
     network: PowerNetwork, generator: torch.Generator, first: float, last: float, sharpness: float
 ) -> None:
-    """Spread the bends of the first layer's units evenly between two times, in place.
+    """Spread the kinks of the first layer's units evenly between two times, in place.
 
-    Time is the second input; `sharpness` is the distance of two bends over the width of one.
+    Time is the second input; `sharpness` is the distance of two kinks over the width of one.
     """
     layer = network.layers[0]
     units = len(layer.bias)

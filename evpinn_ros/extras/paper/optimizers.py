@@ -1,12 +1,12 @@
-"""Three ways to train network and parameters on a `Problem`.
+"""Three optimizers of network and parameters for a `Problem`.
 
-- `Adam`: as published, full batch, a learning rate for the layers and one for the parameters.
+- `Adam`: as published, full batch, one learning rate for the layers and one for the parameters.
 
-- `AdamThenLbfgs`: the usual improvement on it in the literature of PINNs.
+- `AdamThenLbfgs`: the usual improvement of Adam in the literature on PINNs.
 
-- `GaussNewton`: ours. The parameters are solved for (`Problem.fit`), the network follows by dual
-Gauss-Newton steps on random batches. Its first layer starts with units spread over the drive:
-under Glorot's rule all bend near t = 0.
+- `GaussNewton`: ours. It solves for the parameters (`Problem.fit`), and trains the network by dual
+Gauss-Newton steps on random batches. Units of the first layer start spread over the drive: by
+Glorot's rule all have their kinks near t = 0.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ LBFGS_MEMORY = 50
 LBFGS_EVALUATIONS = 25  # of the loss in one line search
 
 BATCH = 1000  # samples of a Gauss-Newton step: the unknowns of its system
-STEP = 0.5  # share of the Gauss-Newton step taken: a batch is not the drive
-FULL_STEPS = 100  # after these the share falls as 1 / n (Robbins, Monro), and with it the noise
+STEP = 0.5  # share of each Gauss-Newton step: a batch is not the drive
+FULL_STEPS = 100  # then the share and its noise fall as 1 / n (Robbins, Monro)
 DAMPING = 1e-4  # of the mean diagonal
 PARAMETERS_EVERY = 10  # steps between solutions for the parameters
 KINK_SHARPNESS = 3.0  # distance of two kinks over the width of one
 
-CURVE_POINTS = 120  # of Fig. 5 and 6, evenly spread over the logarithm of the epoch
+CURVE_POINTS = 120  # of Fig. 5 and 6, evenly spaced in the logarithm of the epoch
 OnEpoch = Callable[[int, float], None]  # takes the epoch and the newest validation loss
 
-# Raw inputs suit Adam best of those tried. Gauss-Newton wants its inputs of one size.
+# Raw inputs were best for Adam. Gauss-Newton needs inputs of similar size.
 INPUTS = {
     OptimizerName.ADAM: InputForm.RAW,
     OptimizerName.ADAM_LBFGS: InputForm.RAW,
@@ -57,27 +57,27 @@ INPUTS = {
 
 
 def curve_epochs(last: int) -> list[int]:
-    """Epochs at which losses are logged: those of the tables, the last, and for the figure."""
+    """Epochs with logged losses: those of the tables and of the figure, and the last."""
     spread = np.geomspace(1, last, CURVE_POINTS).round().astype(int).tolist()
     return sorted({*spread, *(epoch for epoch in LOGGED_EPOCHS if epoch <= last), last})
 
 
 class Optimizer(ABC):
-    """Trains on a problem; `state()` resumes with the same numbers (but for L-BFGS's memory)."""
+    """Trains on a problem; resumed from `state()` it repeats (except L-BFGS's memory)."""
 
     def __init__(self, problem: Problem, epochs: int, seed: int) -> None:
-        """An untrained network, to be trained for so many epochs in all."""
+        """Begin with an untrained network, to be trained for `epochs` in total."""
         self.problem = problem
         network = PowerNetwork(PAPER_WIDTHS, seed=seed, dtype=problem.dtype)
         self.network = network.to(problem.device)  # of Fig. 4, by Glorot's rule
         self.log_scale = torch.zeros(len(LEARNED), dtype=problem.dtype, device=problem.device)
-        self.epoch, self.epochs = 0, epochs  # how far it is, and where it ends
+        self.epoch, self.epochs = 0, epochs  # trained so far, and in total
         self.rows: list[LossRow] = []  # losses at `curve_epochs` so far
         self._logged = set(curve_epochs(epochs))
 
     @abstractmethod
     def step(self) -> None:
-        """Train for the epoch that has begun, number `epoch`."""
+        """Train for one epoch, number `epoch`."""
 
     @property
     def values(self) -> Parameters:
@@ -135,7 +135,7 @@ class Adam(Optimizer):
         self._adam = paper_adam(self.network, self.log_scale)
 
     def loss(self) -> torch.Tensor:
-        """Eq. 22 on the training data with gradients at hand."""
+        """Loss of eq. 22 on the training data; computes its gradients."""
         self._adam.zero_grad()
         data, physics = self.problem.terms(self.problem.training, self.network, self.log_scale)
         total = data + physics
@@ -143,12 +143,12 @@ class Adam(Optimizer):
         return total
 
     def step(self) -> None:
-        """Move the weights once, by the loss of the whole drive."""
+        """One update of all weights, by the loss of the whole drive."""
         self.loss()
         self._adam.step()
 
     def trained(self) -> list[torch.Tensor]:
-        """What is trained: the weights and the log of the scale."""
+        """The trained tensors: weights and log parameters."""
         return [*self.network.parameters(), self.log_scale]
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -183,7 +183,7 @@ class AdamThenLbfgs(Adam):
 
 
 class GaussNewton(Optimizer):
-    """Parameters solved for, network by dual Gauss-Newton on random batches."""
+    """Solves for the parameters, trains the network by dual Gauss-Newton on random batches."""
 
     def __init__(self, problem: Problem, epochs: int, seed: int) -> None:
         super().__init__(problem, epochs, seed)
@@ -193,7 +193,7 @@ class GaussNewton(Optimizer):
 
     @torch.no_grad()
     def step(self) -> None:
-        """One batch; now and then the parameters too."""
+        """Train on one batch; every `PARAMETERS_EVERY` steps solve for the parameters."""
         samples, network = self.problem.training, self.network
         if (self.epoch - 1) % PARAMETERS_EVERY == 0 and self.epoch > 1:
             fit = self.problem.fit(samples, network(samples.inputs), self.log_scale)
@@ -207,7 +207,7 @@ class GaussNewton(Optimizer):
         network.load_vector(network.vector() + share * step)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Weights, z, and where in the draw of batches it is."""
+        """Weights, z, and the state of the random batches."""
         return super().state() | {"generator": self._generator.get_state()}
 
     def load_state(self, state: Mapping[str, torch.Tensor]) -> None:

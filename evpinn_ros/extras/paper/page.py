@@ -23,19 +23,19 @@ with optional_imports():
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHORT = 11  # characters of a cell that stays in one line: `random 20 %`
-# Each is readable on white and on black.
+SHORT = 11  # characters of a cell kept on one line: `random 20 %`
+# Colours that are readable on white and on black.
 MEASURED, NETWORK, PLAIN, PHYSICS = "0.55", "tab:orange", "tab:blue", "tab:green"
 LOOKS = ("default", "dark_background")  # of matplotlib, for light pages and for dark ones
 LETTERING: Any = {"font.size": 11, "legend.frameon": False, "axes.grid": True, "grid.alpha": 0.3}
-WIDTH, DPI = 6.4, 140  # inches: its letters stay readable on a page of 500 px
-BEYOND = 0.5  # of the measured range, shown on both sides of it
+WIDTH, DPI = 6.4, 140  # inches: text is readable on a page of 500 px
+BEYOND = 0.5  # margin on both sides, in measured ranges
 
-Picture = str  # as an address that a page holds in itself
+Picture = str  # as a data URL
 
 
 def write_reproduction(path: Path, outcome: Outcome, command: str, label: str) -> None:
-    """Write the report; label says what was run, as in the terminal."""
+    """Write the report; `label` describes the run, as in the terminal."""
     write_page(
         path,
         "reproduction.html.j2",
@@ -57,7 +57,7 @@ def _whole(rows: list[list[str]]) -> list[list[str]]:
 
 
 def reproduction_pictures(outcome: Outcome) -> dict[str, tuple[Picture, Picture]]:
-    """The figures by title, in the order of the paper: each for a light and for a dark page."""
+    """The figures by title, in the order of the paper, each for a light and a dark page."""
     of_model_s = outcome.vehicle.key == "tesla_model_s"
     figures = {
         f"Fig. {6 if of_model_s else 5}: loss of the power network": _power_losses,
@@ -72,7 +72,7 @@ def reproduction_pictures(outcome: Outcome) -> dict[str, tuple[Picture, Picture]
 
 
 def _picture(draw: Callable[[Outcome], Figure], outcome: Outcome, look: str) -> Picture:
-    """PNG without a ground of its own: the page's is seen."""
+    """The figure as PNG with a transparent background."""
     buffer = io.BytesIO()
     with style.context([look, LETTERING]):
         draw(outcome).savefig(buffer, format="png", dpi=DPI, transparent=True)
@@ -88,7 +88,7 @@ def _legend(axes: Axes) -> None:
 
 
 def _power_losses(outcome: Outcome) -> Figure:
-    """Total, data and physics loss over epochs, the paper's values as points."""
+    """Total, data and physics loss over epochs, with the paper's values as points."""
     figure = _figure(6.0)
     sides = figure.subplots(2, 1, sharex=True)
     published = POWER_LOSSES.get(outcome.vehicle.key, ())
@@ -124,7 +124,7 @@ def _energy_losses(outcome: Outcome) -> Figure:
 
 
 def _drive(outcome: Outcome) -> Figure:
-    """Power and energy of the whole drive: a fit, 80 % of these samples were trained on."""
+    """Power and energy of the whole drive: a fit, since 80 % of it are training samples."""
     figure = _figure(6.4)
     power, energy = figure.subplots(2, 1, sharex=True)
     log, energies = outcome.log, outcome.energies
@@ -147,7 +147,7 @@ def _drive(outcome: Outcome) -> Figure:
 
 
 def _unseen(outcome: Outcome) -> Figure:
-    """The last fifth under the chronological split, as far as the measured power reaches."""
+    """The last fifth under the chronological split, near the range of measured power."""
     figure = _figure(3.8)
     axes = figure.add_subplot()
     log, rows = outcome.log, outcome.chronological.problem.split.validation

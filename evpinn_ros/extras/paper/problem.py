@@ -1,10 +1,10 @@
-"""The loss of the paper on one drive: what every optimiser minimises (eq. 21 to 25).
+"""The loss of the paper on one drive, which every optimizer minimises (eq. 21 to 25).
 
-What the paper leaves open is settled here; the effects are in `docs/explanation/paper.md`:
+Choices that the paper leaves open, with effects in `docs/explanation/paper.md`:
 
-- inputs are speed in m/s and time in s since the start, as they are, or each mapped to [-1, 1];
-- power is mapped to [-1, 1] between its extremes on the drive, for both terms alike;
-- both terms are means over the samples, and lambda is inside the term called physics;
+- inputs are speed in m/s and time in s since the start, unscaled or each mapped to [-1, 1];
+- power is mapped to [-1, 1] between its extremes on the drive, in both terms;
+- both terms are means over the samples, and the physics term includes lambda;
 - parameters are learned as logarithms z over their initial values (`extras.paper.log_parameters`);
 - P_aux is the median power at standstill (section III.C), else the vehicle file's.
 """
@@ -39,58 +39,58 @@ Network: TypeAlias = Callable[[torch.Tensor], torch.Tensor]  # (n, 2) to (n,), b
 
 
 class InputForm(str, Enum):
-    """Form in which the network takes speed and time."""
+    """Scaling of the network's inputs, speed and time."""
 
     RAW = "raw"  # m/s and s, as the paper states no normalisation
     UNIT = "unit"  # each mapped to [-1, 1] over the drive
 
 
 class SampleSplit(NamedTuple):
-    """Indices of the samples to train on and of those to validate on, each rising."""
+    """Indices of the training samples and of the validation samples, each rising."""
 
     training: np.ndarray
     validation: np.ndarray
 
 
 def random_split(samples: int, seed: int) -> SampleSplit:
-    """The paper's split: a fifth drawn at random. It measures interpolation in time, no more."""
+    """The paper's split: validation on a random fifth, which only tests interpolation in time."""
     order = np.random.default_rng(seed).permutation(samples)
     held = round(samples * VALIDATION_SHARE)
     return SampleSplit(np.sort(order[held:]), np.sort(order[:held]))
 
 
 def chronological_split(samples: int) -> SampleSplit:
-    """The honest split: trained on the first four fifths, validated on the last."""
+    """The honest split: training on the first four fifths, validation on the last."""
     border = samples - round(samples * VALIDATION_SHARE)
     return SampleSplit(np.arange(border), np.arange(border, samples))
 
 
 class Scale(NamedTuple):
-    """A quantity as the network takes or gives it: (value - middle) / half_range."""
+    """Scaling of an input or output of the network: (value - middle) / half_range."""
 
     middle: float
     half_range: float
 
     @classmethod
     def of(cls, values: np.ndarray) -> Scale:
-        """The scale that maps a drive's values to [-1, 1]; a constant counts as a range of 1."""
+        """The scale that maps values to [-1, 1]; a constant has range 1."""
         low, high = float(values.min()), float(values.max())
         return cls((high + low) / 2, max((high - low) / 2, 1.0))
 
     def normalised(self, values: torch.Tensor) -> torch.Tensor:
-        """Values in the units of the network."""
+        """Values as inputs or targets of the network."""
         return (values - self.middle) / self.half_range
 
     def restored(self, values: torch.Tensor) -> np.ndarray:
-        """Values of the network in their own unit, float64."""
+        """Values of the network in their original unit, float64."""
         return np.asarray(self.middle + self.half_range * values.double().cpu().numpy())
 
 
-RAW = Scale(0.0, 1.0)  # as it is
+RAW = Scale(0.0, 1.0)  # unscaled
 
 
 class SampleTensors(NamedTuple):
-    """Samples of a drive as tensors: what eq. 21 and the network take, and shall give."""
+    """Samples of a drive as tensors: inputs of eq. 21 and of the network, and the target."""
 
     speed: torch.Tensor  # m/s, shape (n,)
     acceleration: torch.Tensor  # m/s^2, shape (n,)
@@ -99,7 +99,7 @@ class SampleTensors(NamedTuple):
 
 
 class Problem:
-    """One drive, one split, one reading of eq. 21: losses of a network and log parameters z."""
+    """Losses of a network and log parameters z, for one drive, split and form of eq. 21."""
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class Problem:
     def fit(
         self, samples: SampleTensors, power: torch.Tensor, start: torch.Tensor | None = None
     ) -> ParameterFit:
-        """The z, from `start`, at which the physics fits a normalised power, shape (n,), best."""
+        """The z, from `start`, with the best fit of the physics to a normalised power, (n,)."""
         if start is None:
             start = torch.zeros(len(LEARNED), dtype=self.dtype, device=self.device)
         return self._parameters.fit(
@@ -145,7 +145,7 @@ class Problem:
         )
 
     def covariance(self, log_scale: torch.Tensor) -> np.ndarray:
-        """Covariance of z, shape (5, 5), by the power that was trained on and the priors."""
+        """Covariance of z, shape (5, 5), from the power of the training samples and the priors."""
         training = self.training
         return self._parameters.covariance(
             lambda z: self.physics(training, z), training.power, log_scale, self.scale.half_range
@@ -168,7 +168,7 @@ class Problem:
 
     @torch.no_grad()
     def predicted_power(self, network: Network, log: DriveLog) -> np.ndarray:
-        """Power the network predicts, W, shape (n,)."""
+        """Predicted power of the network, W, shape (n,)."""
         return self.scale.restored(network(self._samples(log).inputs))
 
     def _samples(self, log: DriveLog) -> SampleTensors:

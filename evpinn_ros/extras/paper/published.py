@@ -1,4 +1,4 @@
-"""Figures that the paper prints, by names of vehicle files.
+"""Published figures of the paper, by names of vehicle files.
 
 Source: H. Lim et al., "EV-PINN: A Physics-Informed Neural Network for Predicting Electric Vehicle
 Dynamics", Tables II to VI and section III.
@@ -31,7 +31,7 @@ class LossRow(NamedTuple):
 
 
 class EnergyRow(NamedTuple):
-    """Losses of eq. 30 at an epoch of Table IV; ours over a step's mean square energy."""
+    """Losses of eq. 30 at an epoch of Table IV; ours are over the mean square energy of a step."""
 
     epoch: int
     rknn_training: float
@@ -81,7 +81,7 @@ ENERGY_LOSSES = (
     EnergyRow(10_000, 0.0002584, 0.0003183, 0.0007926, 0.0008287),
 )
 
-# Table V; P_aux as section III.C finds it.
+# Table V; P_aux by section III.C.
 PREDICTED: Mapping[str, Parameters] = {
     "tesla_model_3_lr": Parameters(0.7349, 0.6743, 1975.0, 0.00915, 0.2349, 1100.0),
     "tesla_model_s": Parameters(0.7248, 0.7038, 2313.0, 0.01100, 0.2457, 390.0),

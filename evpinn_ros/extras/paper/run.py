@@ -52,12 +52,12 @@ from evpinn_ros.extras.paper.tables import ResultTable, all_tables
 from evpinn_ros.extras.paper.verdict import CRITERIA, verdict
 from evpinn_ros.logs.read_options import ReadOptions
 
-LEAST_RELATIVE_STD = 0.005  # of a prior written: no car is the same from one day to the next
+LEAST_RELATIVE_STD = 0.005  # of a written prior: every car changes from day to day
 
 
 @torch.no_grad()
 def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
-    """An equal network in the units of `extras.paper.learner`, float32, as all are affine."""
+    """The same network in the units of `extras.paper.learner`, float32; scalings are affine."""
     copied = deepcopy(network).cpu().double()
     first, last = copied.layers[0], copied.layers[-1]
     end = float(problem.log.time[-1])
@@ -73,7 +73,7 @@ def window_network(problem: Problem, network: PowerNetwork) -> PowerNetwork:
 def write_estimator_state(path: Path, outcome: Outcome) -> None:
     """Write a `mode: paper` state for `evpinn replay --state` and the node.
 
-    Raises OSError, or ValueError if the estimator would not take it.
+    Raises OSError, or ValueError if the estimator would refuse the state.
     """
     settings = EstimatorSettings(mode=Mode.PAPER, regen_form=outcome.settings.form)
     estimator = OnlineEstimator(outcome.vehicle, settings, InlineWorker(lambda: 0.0))
@@ -124,10 +124,9 @@ def write_vehicle_file(path: Path, outcome: Outcome, log_name: str) -> None:
 
 
 def possible(values: Parameters, form: RegenForm) -> Parameters:
-    """The nearest possible car: eta <= 1 and everything within its limits.
+    """The nearest possible parameters: eta <= 1 and all within their limits.
 
-    Sliding (eta, mass, C_d) back together changes no power; in `wheel_power` mu slides the other
-    way.
+    Scaling eta, mass and C_d together does not change power; in `wheel_power` mu scales inversely.
     """
     excess = max(1.0, values.eta / LIMITS["eta"].upper)
     slid = values._replace(
@@ -141,7 +140,7 @@ def possible(values: Parameters, form: RegenForm) -> Parameters:
     )
 
 
-FILE_WIDTH = 100  # characters of a table where no terminal limits it
+FILE_WIDTH = 100  # characters of a table in a file
 
 
 def run_reproduction(
@@ -153,10 +152,10 @@ def run_reproduction(
     *,
     quick: bool,
 ) -> None:
-    """Train, print and write report, results, state and vehicle file; else InputError."""
+    """Train, print, and write report, results, state and vehicle file; or InputError."""
     if settings.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no CUDA device here")
-    # One thread: small matrices gain nothing from two, and the same run gives the same bits.
+    # One thread: small matrices gain nothing from two, and runs repeat bit by bit.
     limit_blas_threads()
     car = load_vehicle(vehicle)
     read = read_drive_log(log, car, options)
@@ -211,14 +210,14 @@ def _left_out(settings: Settings) -> str:
 
 @contextmanager
 def training_progress() -> Iterator[OnProgress]:
-    """The progress of one training after the other, on a terminal with the newest loss."""
+    """Yields a function that shows the progress of each training, on a terminal with the loss."""
     shown: dict[str, Report] = {}
     with ExitStack() as bar:
 
         def show(title: str, epoch: int, epochs: int, loss: float) -> None:
             if title not in shown:
                 bar.close()
-                # The time left is that of this training alone.
+                # The time left is for this training alone.
                 numbered = f"{title}, {TRAININGS.index(title) + 1} of {len(TRAININGS)}"
                 unit = f"of {epochs} epochs"
                 shown[title] = bar.enter_context(progress_bar(numbered, epochs, unit))
@@ -258,7 +257,7 @@ def _write(outcome: Outcome, read: ReadLog, folder: Path, log: Path, label: str)
 
 
 def results_of(outcome: Outcome) -> dict[str, Any]:
-    """Everything measured, in a form `json` writes."""
+    """All measured results, as values for `json`."""
     settings = outcome.settings
     problem = outcome.training.problem
     return {

@@ -1,4 +1,4 @@
-"""Scores of a power, and the baselines the paper leaves out."""
+"""Scores of predicted power, and the baselines that the paper leaves out."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from evpinn_ros.extras.paper.log_parameters import (
 )
 from evpinn_ros.extras.paper.problem import Problem, Scale
 
-GAUGE_FREE = ("c_rr", "mu")  # parameters that eq. 21 holds by themselves
-KNOWN_BELOW = VALID_BELOW  # share of the prior's variance left when the data determine a value
+GAUGE_FREE = ("c_rr", "mu")  # parameters that do not scale with others in eq. 21
+KNOWN_BELOW = VALID_BELOW  # remaining share of the prior's variance if data determine a value
 
 
 class PowerScore(NamedTuple):
@@ -31,13 +31,13 @@ class PowerScore(NamedTuple):
 
     rmse_w: float  # W
     mae_w: float  # W
-    r2: float | None  # 1 for perfect, 0 for the mean; None when the measured power is constant
-    data_loss: float  # mean square of the error in the units of Tables II and III
-    energy_error_percent: float | None  # of the sum over these samples; None when that sum is zero
+    r2: float | None  # 1 for perfect, 0 for the mean; None if the measured power is constant
+    data_loss: float  # mean square error in the units of Tables II and III
+    energy_error_percent: float | None  # of the sum over these samples; None if that sum is zero
 
 
 def power_score(predicted: np.ndarray, measured: np.ndarray, scale: Scale) -> PowerScore:
-    """Score powers, W, shape (n,) each."""
+    """Score predicted against measured powers, W, shape (n,) each."""
     error = predicted - measured
     spread = float(np.sum((measured - measured.mean()) ** 2))
     total = float(measured.sum())
@@ -52,14 +52,14 @@ def power_score(predicted: np.ndarray, measured: np.ndarray, scale: Scale) -> Po
 
 
 def least_squares_power(problem: Problem) -> tuple[np.ndarray, Parameters]:
-    """Power of validation data, W, by eq. 21 fitted to the training data alone."""
+    """Power of the validation data, W, (n,), and parameters, by eq. 21 fitted to training data."""
     fit = problem.fit(problem.training, problem.training.power)
     power = problem.physics(problem.validation, fit.log_scale)
     return problem.scale.restored(power), problem.values(fit.log_scale)
 
 
 def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Energy since the first sample, J, shape (n,), by trapezoids, as RK4 between samples is."""
+    """Energy since the first sample, J, shape (n,), by trapezoids: RK4 between samples."""
     steps = np.diff(time)
     parts = np.where(steps <= MAX_GAP, 0.5 * (power[1:] + power[:-1]) * steps, 0.0)
     return np.concatenate(([0.0], np.cumsum(parts)))
@@ -68,27 +68,27 @@ def exact_energy(time: np.ndarray, power: np.ndarray) -> np.ndarray:
 def drift_included(
     vehicle: Vehicle, log_scale: torch.Tensor, covariance: np.ndarray
 ) -> np.ndarray:
-    """Covariance of z plus C S^-1 z, its drift where the data say nothing, shape (5, 5)."""
+    """Covariance of z, shape (5, 5), with its drift C S^-1 z in undetermined directions."""
     z = log_scale.detach().double().cpu().numpy()
     drift = covariance @ (z / LogParameters(vehicle).prior_std ** 2)
     return covariance + np.outer(drift, drift)
 
 
 class TableFiveRow(NamedTuple):
-    """One parameter as in Table V, with what the paper leaves out."""
+    """One parameter as in Table V, with the figures that the paper leaves out."""
 
     name: str  # of the parameter
-    initial: float  # guess of eq. 24, 25
-    value: float  # found
+    initial: float  # value of eq. 24, 25
+    value: float  # learned
     std: float  # 1-sigma from the curvature of the physics loss and the priors
-    prior_share: float  # variance left of the prior's: 0 all data, 1 all prior
-    determined: bool  # whether the data tell it
+    prior_share: float  # remaining share of the prior's variance: 0 all data, 1 all prior
+    determined: bool  # whether the data determine it
 
 
 def parameter_rows(
     vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
 ) -> list[TableFiveRow]:
-    """Rows of Table V; no data determine eta, mass and C_d, which scale together, alone."""
+    """Rows of Table V; eta, mass and C_d scale together, so no data determine one of them."""
     free = GAUGE_FREE if form is not RegenForm.WHEEL_POWER else ("c_rr",)
     rows = []
     for index, name in enumerate(LEARNED):
@@ -104,7 +104,7 @@ def parameter_rows(
 def combination_rows(
     vehicle: Vehicle, values: Parameters, covariance: np.ndarray, form: RegenForm
 ) -> list[TableFiveRow]:
-    """Rows of the combinations that enter eq. 21, as those of the parameters."""
+    """Rows of the combinations in eq. 21, in the form of `parameter_rows`."""
     before_data = np.diag(LogParameters(vehicle).prior_std ** 2)
     area = vehicle.frontal_area
     before, after = (combinations(p, area, form) for p in (vehicle.initial, values))
@@ -118,13 +118,13 @@ def combination_rows(
 
 
 def combinations(parameters: Parameters, area: float, form: RegenForm) -> dict[str, float]:
-    """Values of the combinations that enter eq. 21 in a form; area in m^2."""
+    """Values of the combinations in this form of eq. 21; area in m^2."""
     values = {**identifiable(parameters, area)._asdict(), "mu": parameters.mu}
     return {name: float(values[name]) for name in _exponents(form)}
 
 
 def _exponents(form: RegenForm) -> Mapping[str, Mapping[str, float]]:
-    """The combinations of a form; in `wheel_power` alone braking comes back by eta mu."""
+    """Exponents by combination of a form; only `wheel_power` recovers braking by eta mu."""
     if form is RegenForm.WHEEL_POWER:
         return COMBINATIONS
     others = {

@@ -1,4 +1,4 @@
-"""Settings of the paper's experiment, apart from what trains, so that help needs no torch."""
+"""Settings of the paper's experiment, separate from training, so that help needs no torch."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from evpinn_ros.core.vehicle.physics import RegenForm
 
 
 class OptimizerName(str, Enum):
-    """Ways to train (`extras.paper.optimizers`), as `evpinn reproduce --optimizer` takes them."""
+    """Names of `extras.paper.optimizers` for `evpinn reproduce --optimizer`."""
 
     ADAM = "adam"
     ADAM_LBFGS = "adam_lbfgs"
@@ -40,13 +40,13 @@ class Settings:
     energy_epochs: int  # of the energy networks
     seed: int = 0  # of split, networks and batches
     device: str = "cpu"  # `cpu` or `cuda`
-    form: RegenForm = RegenForm.RECOVERY  # reading of eq. 21
+    form: RegenForm = RegenForm.RECOVERY  # of eq. 21
 
     @classmethod
     def chosen(
         cls, optimizer: OptimizerName | None, epochs: int | None, quick: bool, **others: Any
     ) -> Settings:
-        """Settings with the defaults, where None is given, of a quick look or of a whole run."""
+        """Settings with the defaults of a quick or a whole run in place of None."""
         optimizer = optimizer or (OptimizerName.GAUSS_NEWTON if quick else OptimizerName.ADAM)
         epochs = epochs or (QUICK_EPOCHS if quick else DEFAULT_EPOCHS)[optimizer]
         energy_epochs = QUICK_ENERGY_EPOCHS if quick else ENERGY_EPOCHS

@@ -1,4 +1,4 @@
-"""The tables of the paper beside what was measured, for terminal and report alike."""
+"""The tables of the paper beside our results, for terminal and report."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ TITLES = {
 
 
 class ResultTable(NamedTuple):
-    """A table of text; the first column is aligned left, the others right."""
+    """A table of texts; the first column is aligned left, the others right."""
 
     title: str
     columns: Sequence[str]
@@ -52,7 +52,7 @@ class ResultTable(NamedTuple):
 
 
 def all_tables(outcome: Outcome) -> Iterator[ResultTable]:
-    """Every table in the order of the paper, the honest columns after each."""
+    """All tables in the order of the paper, each followed by the figures that it leaves out."""
     yield power_loss_table(outcome)
     yield energy_loss_table(outcome)
     yield parameter_table(outcome)
@@ -63,7 +63,7 @@ def all_tables(outcome: Outcome) -> Iterator[ResultTable]:
 
 
 def power_loss_table(outcome: Outcome) -> ResultTable:
-    """Table II, or III of a Model S: this drive beside the paper's drive of that car."""
+    """Table II, or III for a Model S: this drive beside the paper's drive of that car."""
     key, number = "tesla_model_3_lr", "II"
     if outcome.vehicle.key == "tesla_model_s":
         key, number = outcome.vehicle.key, "III"
@@ -109,7 +109,7 @@ def energy_loss_table(outcome: Outcome) -> ResultTable:
 
 
 def parameter_table(outcome: Outcome) -> ResultTable:
-    """Table V, with what tells a finding from a prior."""
+    """Table V, with figures that distinguish learned values from priors."""
     published = PREDICTED.get(outcome.vehicle.key)
     return ResultTable(
         "Table V: parameters",
@@ -127,7 +127,7 @@ def parameter_table(outcome: Outcome) -> ResultTable:
 
 
 def combination_table(outcome: Outcome) -> ResultTable:
-    """Table of what eq. 21 lets data determine at all."""
+    """Table of the combinations that data can determine in eq. 21."""
     published = PREDICTED.get(outcome.vehicle.key)
     area, form = outcome.vehicle.frontal_area, outcome.settings.form
     return ResultTable(
@@ -162,7 +162,7 @@ def _finding_rows(
 
 
 def vehicle_table(outcome: Outcome) -> ResultTable:
-    """Table VI, the values of the vehicle files beside the paper's."""
+    """Table VI: values of the vehicle files beside the paper's."""
     rows = []
     for compared in COMPARED:
         rows.append([compared.title, *(_number(n, getattr(compared, n)) for n in FOUR)])
@@ -179,7 +179,7 @@ def vehicle_table(outcome: Outcome) -> ResultTable:
 
 
 def power_table(outcome: Outcome) -> ResultTable:
-    """The honest columns: every method on data it was not trained on."""
+    """Table of scores of every method on data outside its training."""
     rows = [
         [
             scored.method,
@@ -203,7 +203,7 @@ def power_table(outcome: Outcome) -> ResultTable:
 
 
 def energy_table(outcome: Outcome) -> ResultTable:
-    """Energy of the drive by every integrator."""
+    """Table of the energy of the drive by every integrator."""
     energies = outcome.energies
     exact = float(energies.measured[-1])
     entries = (
@@ -230,7 +230,7 @@ def energy_table(outcome: Outcome) -> ResultTable:
 
 
 def _beyond(outcome: Outcome) -> str:
-    """A sentence on the network's power where every time is later than those trained on."""
+    """Sentence on the network's power at times after those of its training."""
     rows = outcome.chronological.problem.split.validation
     powers = (power[rows] / 1000.0 for power in (outcome.unseen_power, outcome.log.power))
     network, measured = (f"{power.min():.0f} to {power.max():.0f} kW" for power in powers)
@@ -242,7 +242,7 @@ def _beyond(outcome: Outcome) -> str:
 
 
 def r2_text(value: float | None) -> str:
-    """R\u00b2 with the digits that mean something."""
+    """Text of R\u00b2 with its significant digits."""
     return UNKNOWN if value is None else f"{value:.4f}" if value > -10.0 else f"{value:.0f}"
 
 

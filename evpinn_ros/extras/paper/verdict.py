@@ -1,4 +1,4 @@
-"""The paper's claims on one drive: five findings, each from what was measured there."""
+"""The paper's claims on one drive: five findings, each from measurements of the drive."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from evpinn_ros.extras.paper.scores import PowerScore
 from evpinn_ros.extras.paper.settings import DEFAULT_EPOCHS, OptimizerName
 from evpinn_ros.extras.paper.tables import r2_text
 
-GOOD_R2 = 0.9  # of power, for it to count as predicted
-GOOD_ENERGY = 5.0  # percent of energy, for it to count as predicted
-BETTER = 0.5  # of the loss of the plain network, for the other to count as better; paper: 0.38
-EXPLAINING = 0.1  # of R\u00b2, by which holding the time explains a bad one
+GOOD_R2 = 0.9  # of power, from which on it counts as predicted
+GOOD_ENERGY = 5.0  # percent error of energy, up to which it counts as predicted
+BETTER = 0.5  # of the plain network's loss, up to which the other is better; paper: 0.38
+EXPLAINING = 0.1  # gain of R\u00b2 with time held, which explains a bad R\u00b2
 NAMES = {
     "c_rr": "C_rr",
     "c_d": "C_d",
@@ -56,14 +56,14 @@ class Finding(NamedTuple):
 
     claim: str  # of the paper
     answer: ClaimAnswer  # of this drive
-    measured: str  # behind the answer
+    measured: str  # the measurement behind the answer
 
     def __str__(self) -> str:
         return f"{self.answer.value.upper()}. {self.claim}: {self.measured}."
 
 
 def verdict(outcome: Outcome) -> list[Finding]:
-    """The five claims in the order of the paper's abstract, Table IV last."""
+    """Findings on the five claims in the order of the paper's abstract, Table IV last."""
     return [_fits(outcome), *_predicts(outcome), _parameters(outcome), _integrates(outcome)]
 
 
@@ -90,7 +90,7 @@ def _fits(outcome: Outcome) -> Finding:
 
 
 def _predicts(outcome: Outcome) -> tuple[Finding, Finding]:
-    """Power and energy of the last fifth of the drive, on which nothing was trained."""
+    """Findings on power and energy of the last fifth of the drive, outside the training."""
     network = _score(outcome, NETWORK, CHRONOLOGICAL)
     physics = _score(outcome, REGRESSION, CHRONOLOGICAL)
     power = energy = ClaimAnswer.OPEN
