@@ -74,6 +74,7 @@ def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
     else:
         if not np.isfinite(speed).all():
             raise PlanError(NEITHER)
+        refuse(speed < 0, "speed is negative")
         length, mean = np.diff(along), (speed[1:] + speed[:-1]) / 2
         refuse((length > 0) & (mean <= 0), "it has no times, and its speed is 0")
         elapsed, way = sums(length / np.where(length > 0, mean, 1.0)), along

@@ -113,7 +113,8 @@ def without_wander(place: np.ndarray, time: np.ndarray) -> np.ndarray:
     scale = np.radians(EARTH_RADIUS) * np.array([np.cos(np.radians(place[0, 1])), 1.0])
     totals = np.concatenate((np.zeros((1, 2)), np.cumsum(place * scale, axis=0)))
     here = np.arange(1, len(place) + 1)
-    begin, end = (np.searchsorted(time, time + away, "right") for away in (-AROUND, AROUND))
+    around = max(AROUND, LEAST_AROUND * float(np.median(np.diff(time))))
+    begin, end = (np.searchsorted(time, time + away, "right") for away in (-around, around))
     enough = np.minimum(here - begin, end - here) >= LEAST_AROUND
     before, after = (
         (totals[last] - totals[first]) / np.maximum(last - first, 1)[:, None]

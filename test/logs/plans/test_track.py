@@ -125,6 +125,8 @@ def test_with_speeds_no_times_are_needed(read):
         assert reached([400.0, 900.0], legs.length, legs.duration) == pytest.approx([20.0, 40.0])
     with pytest.raises(PlanError, match="no times, and its speed is 0 at point 3"):
         read(gpx(times=None, speeds=[10.0, 10.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(PlanError, match="speed is negative at point 2"):
+        read(gpx(times=None, speeds=[10.0, -10.0, 30.0, 0.0, 0.0]))
 
 
 def test_points_without_a_time_lie_on_the_way_to_the_next(read):
@@ -178,7 +180,7 @@ def track_of(speeds, sigma=0.0, every=1):
 
 
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 4.0])
-@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("every", [1, 2, 5])
 @pytest.mark.parametrize("stands", [1, 4])
 def test_a_receiver_that_stands_and_wanders_drives_nowhere(read, sigma, every, stands):
     """12 km with 20 minutes of standing: 13 to 21 km along its places."""
