@@ -151,7 +151,8 @@ class StuckDetector:
     def follow(self, block: Block) -> VerdictCourse:
         """Take a block in order of stamps; the verdicts along it."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
-        battery = battery.where(np.isfinite(battery.values[0] * battery.values[1]))
+        with np.errstate(over="ignore"):  # beyond what floats hold is beyond any car too
+            battery = battery.where(np.isfinite(drawn_power(*battery.values[:2])))
         volts, amperes = battery.values[:2]
         # Robots without a current sensor send 0 A beside a measured voltage.
         drawn = np.stack((drawn_power(volts, amperes), np.where(amperes, volts, 0.0), amperes))
