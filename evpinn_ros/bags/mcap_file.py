@@ -29,6 +29,7 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         """Find the channels and the messages; InputError if the file is not MCAP."""
         self.path = path
+        self.notes: list[str] = []  # no file beside it belongs to it
         with as_input_error(path):
             self._file = open_file(path)
         self._notes: list[str] = []

@@ -84,6 +84,11 @@ class BagReader:
         problems = [*self._problems, *(file.problem for file in self._files if file.problem)]
         return " | ".join(problems) or None
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Files beside those of the bag that are not read, and lose no message: a line each."""
+        return tuple(note for file in self._files for note in file.notes)
+
     def records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
         """The messages of `topics` (full names, None for all) in log time order."""
         for raw in self.raw_records(topics):
@@ -264,6 +269,7 @@ class CompressedMessages:
     def __init__(self, file: PlainFile, path: Path) -> None:
         self._file, self.path = file, path
         self.channels, self.counts, self.close = file.channels, file.counts, file.close
+        self.notes = file.notes
         self._lost = 0
 
     @property

@@ -109,6 +109,7 @@ class SqliteFile:
         """Open the file; InputError if it is no bag, or has more than tables and indices."""
         self.path = path
         self.problem: str | None = None  # losses; complete once all messages were read
+        self.notes: list[str] = []  # files beside it that are not read, and lose no message
         self._folder = TemporaryDirectory(prefix="evpinn-")
         self._database: sqlite3.Connection | None = None
         try:
@@ -222,7 +223,10 @@ class SqliteFile:
         database = self.path.resolve()  # SQLite writes its journals next to the real file
         for journal, begins in _beside(database):
             if not begins:
-                self._note(f"{journal.name} beside it has no header, and is not read")
+                self.notes.append(
+                    f"{self.path}: {journal.name} beside it has no header; "
+                    "SQLite does not read it either"
+                )
         beside = journals(database)
         if not beside:
             return self.path

@@ -50,17 +50,19 @@ def change_storage(
     storage: Storage,
     progress: Callable[[float], None] | None = None,
     stopped: Callable[[], bool] = lambda: False,
+    note: Callable[[str], object] = lambda _: None,
 ) -> int:
-    """Write an intact bag, byte for byte, into a new bag; returns the number of messages.
+    """Write the messages of a bag, byte for byte, into a new bag; returns their number.
 
     `progress` gets the seconds of the recording done; once `stopped` is true, the new bag ends
-    there. InputError: the bag is broken (`evpinn recover` saves MCAP), or `out` not writable.
+    there; `note` gets the bag's notes. InputError: `out` is not writable, or the bag is broken;
+    then `out` has what could be read.
     """
     if out.exists():
         raise InputError(f"{out}: there already; give the name of a new folder")
     with BagReader(source) as reader:
-        if reader.problem is not None:
-            raise InputError(f"{reader.problem}; evpinn recover saves a broken MCAP")
+        for line in reader.notes:
+            note(line)
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             count = _copy(reader, out, storage, progress, stopped)

@@ -101,6 +101,7 @@ class LogFile:
         # damaged log that no bus can carry, and `other_bus` (see `FirstBus`)
         self.skipped: Counter[str] = Counter()
         self.problem: str | None = None  # why reading stopped early
+        self.notes: tuple[str, ...] = ()  # a log has no files beside it
         self._first_bus = FirstBus(channel)
         suffixes = [suffix.lower() for suffix in self.path.suffixes]
         self._gzipped = suffixes[-1:] == [".gz"]

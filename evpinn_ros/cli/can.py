@@ -123,6 +123,8 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
             if frame.stamp_ns > last_ns:
                 break
             inspection.add_frame(frame)
+    for line in log.notes:
+        note(line)
     for kind, count in sorted(log.skipped.items()):
         note(f"{path}: {count} frames left out: {kind}")
     return log.problem

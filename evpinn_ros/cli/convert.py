@@ -60,7 +60,9 @@ def convert(
         seconds = stated_seconds(source_path)
         with Interruption() as interruption:
             with writing(out), progress_bar(source_path.name, seconds) as progress:
-                change_storage(source_path, out, storage, progress, lambda: interruption.asked)
+                change_storage(
+                    source_path, out, storage, progress, lambda: interruption.asked, note
+                )
             say(f"{out}")
         return
     car = load_vehicle(vehicle)

@@ -31,5 +31,5 @@ def view(
         from evpinn_ros.nodes.live.player import play
 
         play(reader, rate, loop, note)
-        if reader.problem is not None:
-            note(reader.problem)
+        for line in filter(None, (*reader.notes, reader.problem)):
+            note(line)

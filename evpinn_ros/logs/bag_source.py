@@ -44,8 +44,9 @@ class BagSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Topics with nearly the name of a missing one, and implausible battery values."""
-        return *self._readings.notes, *self._readings.doubts, *self._watch.notes
+        """Unread files, topics with nearly a missing one's name, implausible battery values."""
+        readings = self._readings
+        return *self._reader.notes, *readings.notes, *readings.doubts, *self._watch.notes
 
     @property
     def doubts(self) -> tuple[str, ...]:

@@ -58,6 +58,11 @@ class BagFrames:
         """Losses of the bag, in one line."""
         return self._reader.problem
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Files beside the bag that are not read, and lose no message."""
+        return self._reader.notes
+
     def frames(self) -> Iterator[CanFrame]:
         """Every data frame in order of log time; InputError when there is none."""
         first_bus = FirstBus()
@@ -127,8 +132,8 @@ class CanLogSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Implausible battery values."""
-        return self._watch.notes
+        """Unread files beside the log, and implausible battery values."""
+        return *self._log.notes, *self._watch.notes
 
     @property
     def doubts(self) -> tuple[str, ...]:

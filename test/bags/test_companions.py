@@ -105,9 +105,13 @@ def test_a_journal_without_a_header_copies_nothing(tmp_path, monkeypatch, begin)
     whole = numbers(path)[0]
     (tmp_path / "a.db3-wal").write_bytes(begin)
     monkeypatch.setattr(sqlite_file, "copy_file", None)  # what would copy
-    values, problem = numbers(path)
-    assert values == whole[: len(values)] and len(values) == 300
-    assert problem is None if not begin[0] else "a.db3-wal beside it has no header" in problem
+    notes: list[str] = []
+    change_storage(path, tmp_path / "new", Storage.MCAP, note=notes.append)
+    for read in (path, tmp_path / "new"):
+        assert numbers(read) == (whole[:300], None)
+    with closing(sqlite3.connect(path)) as alone:  # which deletes it
+        assert alone.execute("SELECT count(*) FROM messages").fetchone() == (300,)
+    assert ["SQLite does not read it either" in line for line in notes] == [True] * any(begin)
 
 
 @pytest.mark.timeout(60)

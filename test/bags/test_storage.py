@@ -41,12 +41,16 @@ def test_what_cannot_be_done_is_one_line(tmp_path):
     with pytest.raises(InputError, match="there already"):
         change_storage(URBAN, tmp_path / "bag", Storage.SQLITE3)
     (file,) = URBAN.glob("*.mcap")
-    (tmp_path / "cut.mcap").write_bytes(file.read_bytes()[:100_000])
-    with pytest.raises(InputError, match="evpinn recover saves") as caught:
-        change_storage(tmp_path / "cut.mcap", tmp_path / "new", Storage.SQLITE3)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[:100_000])
+    with pytest.raises(InputError, match="what could be read is in") as caught:
+        change_storage(cut, tmp_path / "new", Storage.SQLITE3)
     assert "\n" not in str(caught.value)
+    with BagReader(cut) as before, BagReader(tmp_path / "new") as after:
+        assert len(messages := [*before.raw_records()]) > 100
+        assert [*after.raw_records()] == messages
     with pytest.raises(InputError, match="no such file or folder"):
-        change_storage(tmp_path / "nowhere", tmp_path / "new", Storage.MCAP)
+        change_storage(tmp_path / "nowhere", tmp_path / "other", Storage.MCAP)
 
 
 def test_a_time_that_the_other_storage_cannot_hold_is_one_line(tmp_path):
