@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 import pytest
 
 from evpinn_ros.logs import survey as module
-from evpinn_ros.logs.survey import find_head, look_through
+from evpinn_ros.logs.survey import find_head, look_through, names_some
 from evpinn_ros.logs.text_table import TextTable
 
 
@@ -22,3 +22,8 @@ def test_cells_are_kept_evenly_from_the_first_row_on(tmp_path_factory, rows, bla
         looked = look_through(table, find_head(table), [0], early=lambda _: None)
     numbers = [int(cell) for cell in looked.cells[0]]
     assert numbers == list(range(0, rows, looked.stride)) and 500 < len(numbers) <= 1000
+
+
+def test_a_row_of_nothing_names_nothing():
+    """As a sheet's first row may be."""
+    assert not names_some([]) and not names_some([""]) and names_some(["t_s", "speed_mps"])

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
+from evpinn_ros.logs.column import column_of
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
-from evpinn_ros.logs.values import Signal, held_columns
+from evpinn_ros.logs.values import Signal, held_columns, of_12_volts
 from test.logs.test_columns import drive_of, rows
 
 OURS = "t_s,speed_mps,voltage_v,current_a"
@@ -88,3 +89,17 @@ def test_whole_kilometres_an_hour_repeat_by_themselves():
     time = np.cumsum(rng.choice([0.1, 0.8, 1.1], 800))
     assert held_columns({"speed": Signal(time, np.repeat(speed_at(time[::2]), 2))})
     assert not held_columns({"speed": Signal(time, np.repeat(speed_at(time[::2]).round(), 2))})
+
+
+@pytest.mark.parametrize("places", [[], [50], range(40)], ids=len)
+def test_a_current_of_nothing_says_nothing_of_the_voltage(places):
+    """Cells that are all missing have no swing, of which numpy says so by an error."""
+    header = ["Voltage (V)", "Current (A)"]
+    columns = {name.split()[0].lower(): name for name in header}
+    columns = {key: column_of(key, header, header.index(columns[key])) for key in columns}
+    amperes = np.full(100, np.nan)
+    amperes[places] = 3.0
+    for volts in (np.full(100, 12.5), np.full(100, np.nan)):
+        cells = {"voltage": Signal(np.arange(100.0), volts)}
+        cells["current"] = Signal(np.arange(100.0), amperes)
+        assert of_12_volts(columns, cells) == ""
