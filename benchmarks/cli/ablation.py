@@ -136,7 +136,9 @@ def ablation(
     """
     keys = output.chosen_cars(data, cars, CARS)
     rows: list[VariantRow] = []
-    with output.json_as_it_comes(json_file, lambda: list(map(asdict, rows))) as keep:
+    with output.json_as_it_comes(
+        json_file, lambda: list(map(asdict, rows)), (data, *keys)
+    ) as keep:
         read = [read_car(data, key) for key in keys]
         tasks = [(variant, car, range(seeds)) for car in read for variant in VARIANTS]
         for row in output.in_parallel("variants", jobs, score, tasks):

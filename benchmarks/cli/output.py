@@ -11,11 +11,12 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from benchmarks.unseen.drives import cars_in
+from benchmarks.unseen.drives import cars_in, inputs_of
 from evpinn_ros.cli.console import STDOUT, progress_bar, write_json
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.stopping import stopped_by
+from evpinn_ros.common.writer import check_outputs
 
 GradeOption = Annotated[float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")]
 AltitudeOption = Annotated[bool, typer.Option("--altitude", help="With a barometer.")]
@@ -58,9 +59,13 @@ def in_parallel(
 
 @contextmanager
 def json_as_it_comes(
-    path: Path | None, document: Callable[[], Any]
+    path: Path | None, document: Callable[[], Any], inputs: Iterable[str] = ()
 ) -> Iterator[Callable[[], None]]:
-    """Write what was found at each call, and once more when a signal, an error or all ends it."""
+    """Write what was found at each call, and once more when a signal, an error or all ends it.
+
+    InputError: it would be written over a file of `inputs`, names of data and of cars.
+    """
+    check_outputs([path], inputs_of(inputs))
 
     def keep() -> None:
         if path is not None and str(path) != STDOUT:

@@ -26,11 +26,12 @@ def plans(
 
     Example: evpinn bench plans $DATA --cars i3,changchun
     """
-    tasks = [(data, key) for key in output.chosen_cars(data, cars, CARS)]
+    keys = output.chosen_cars(data, cars, CARS)
+    tasks = [(data, key) for key in keys]
     rows: list[Any] = []
     roads: list[Any] = []
     with output.json_as_it_comes(
-        metrics, lambda: [asdict(row) for row in (*rows, *roads)]
+        metrics, lambda: [asdict(row) for row in (*rows, *roads)], (data, *keys)
     ) as keep:
         for car_scores in output.in_parallel("plans of cars", jobs, plan_scores, tasks):
             rows += car_scores

@@ -153,7 +153,9 @@ def settings(
     scores: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     finals: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
-    with output.json_as_it_comes(metrics, lambda: _found(scores, chosen, finals)) as keep:
+    with output.json_as_it_comes(
+        metrics, lambda: _found(scores, chosen, finals), (data, *keys)
+    ) as keep:
         recorded = list(
             output.in_parallel("cars read", jobs, read_car, [(data, key) for key in keys])
         )

@@ -75,7 +75,7 @@ def unseen(
     tasks = [Task(data, car, name) for car in chosen for name in names]
     by_car: dict[str, Any] = {}
     with (
-        json_as_it_comes(json_file, lambda: {"data": data, "cars": by_car}) as keep,
+        json_as_it_comes(json_file, lambda: {"data": data, "cars": by_car}, [data]) as keep,
         progress_bar("methods on cars", len(tasks), unit="done") as progress,
     ):
         for number, result in enumerate(run_tasks(tasks, jobs, progress), start=1):

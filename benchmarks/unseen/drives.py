@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
@@ -160,6 +160,15 @@ FOLDERS = {
 
 LOG_PART = ":"  # between the name of a log and the number of its drive
 SIMULATED = "simulated"
+
+
+def inputs_of(names: Iterable[str]) -> Iterator[Path]:
+    """Every file that the data or cars of these names may be read from, in other processes too."""
+    for name in names:
+        path, _, vehicle = name.rpartition("=")
+        for root in map(Path, (path, *vehicle.split(",")) if path else (name,)):
+            yield root
+            yield from root.rglob("*")
 
 
 def cars_in(data: str) -> list[str]:

@@ -18,6 +18,7 @@ from benchmarks.unseen.summary import summary
 from benchmarks.unseen.truth import DRIVES, KINDS, SECONDS, errors, run_truth, truth_summary
 from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.common.errors import InputError, known_names, near_names
+from evpinn_ros.common.opener import check_file
 
 CORE, WEAK_LS = "core", "weak_ls"
 METHODS: Mapping[str, Factory] = {**BASELINES, CORE: OnlineChain}
@@ -55,8 +56,7 @@ def find_method(name: str) -> Factory:
         raise InputError(
             f"no method '{name}', which may be FILE.py:CLASS{known_names(name, METHODS)}"
         )
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
+    check_file(Path(path))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     if not hasattr(module, attribute):

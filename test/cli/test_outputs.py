@@ -32,10 +32,12 @@ def inputs(tmp_path):
 
 
 def _inputs_in(tmp_path):
-    """A folder of drives, a plan, a tile, a vehicle file, and its profile with its DBC."""
+    """Drives in a folder and one of JSON, a plan, a tile, a vehicle file, its profile and DBC."""
     (tmp_path / "drives").mkdir()
     for name in ("a.csv", "b.csv"):
         (tmp_path / "drives" / name).write_text(DRIVE)
+    row = '{{"t_s": {}, "speed_mps": 10, "power_w": 2}}\n'
+    (tmp_path / "c.jsonl").write_text("".join(map(row.format, range(120))))
     (tmp_path / "plan.csv").write_text("t_s,speed_mps\n0,0\n10,10\n60,10\n70,0\n")
     (tmp_path / "tiles").mkdir()
     tile = gzip.compress(np.full((1201, 1201), 500, ">i2").tobytes(), 1)
@@ -66,6 +68,7 @@ SIMULATE = "simulate new --duration 60 --vehicle car.yaml"
         ("replay new.log --vehicle car.yaml --report", "tesla_model_3.yaml"),
         ("replay new.log --vehicle car.yaml --report", "tesla_model_3.dbc"),
         ("fleet drives --vehicle car.yaml --out out --write-vehicle", "tesla_model_3.yaml"),
+        ("bench plans c.jsonl=car.yaml --json", "c.jsonl"),
     ],
 )
 def test_no_command_writes_over_what_it_reads(evpinn, inputs, command, victim):
@@ -90,9 +93,9 @@ COMMANDS = {
     "compare drives/a.csv drives/b.csv --vehicle car.yaml --elevation tiles --params p.yaml": (
         *("--report", "--json"),
     ),
-    "forecast plan.csv drives/a.csv --vehicle car.yaml --elevation tiles": ("--report", "--json"),
+    "forecast plan.csv c.jsonl --vehicle car.yaml --elevation tiles": ("--report", "--json"),
     "forecast plan.csv --state s.json": ("--report", "--json"),
-    "info drives plan.csv new.log bag --can-profile ./tesla_model_3.yaml": ("--json",),
+    "info drives c.jsonl plan.csv new.log bag --can-profile ./tesla_model_3.yaml": ("--json",),
     "can inspect new.log --can-profile ./tesla_model_3.yaml": ("--json",),
     "recover bag/bag_0.mcap new": ("--json",),
     "recover bag": ("",),
@@ -101,6 +104,7 @@ COMMANDS = {
     "convert bag --storage sqlite3": ("",),
     "simulate new --duration 60 --vehicle car.yaml": ("--can-log",),
     "simulate --duration 60 --vehicle car.yaml": ("",),
+    "bench plans c.jsonl=car.yaml": ("--json",),
     "fleet drives --vehicle car.yaml --out out": ("--report", "--write-vehicle", "--json"),
     "fleet --manifest fleet.yaml --out out": ("--report", "--write-vehicle", "--json"),
 }
@@ -153,6 +157,8 @@ def test_what_a_command_has_read_stays_whatever_is_named_as_output(
             run = evpinn(*command.split(), *[option] * bool(option), output, cwd=folder)
         if "fleet" in command:  # in processes of their own
             read |= {*folder.glob("drives/*")}
+        if "bench" in command:
+            read.add(folder / "c.jsonl")
         if "replay" in command and (victim.name != STATE or option == "--state"):
             read.discard(folder / STATE)  # which is learned on
         changed = {path for path, content in before.items() if path.read_bytes() != content}
