@@ -43,7 +43,9 @@ def saved(request, tmp_path):
 
 
 def test_every_version_has_a_state_and_one_is_read():
-    assert READ and len(REFUSED) >= 10 and FORECASTS.keys() == {path.name for path in READ}
+    versions = {int(path.name.split("_")[1]) for path in CARS}
+    assert versions == {*range(1, STATE_VERSION + 1)}
+    assert FORECASTS.keys() == {path.name for path in READ}
 
 
 def test_a_saved_car_forecasts_as_before_or_is_refused_with_what_to_do(saved):

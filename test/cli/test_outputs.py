@@ -118,7 +118,7 @@ def whole_inputs(tmp_path_factory, evpinn):
     """Beside them a bag, a CAN log, a state, parameters and a manifest."""
     folder = _inputs_in(tmp_path_factory.mktemp("inputs"))
     (folder / "p.yaml").write_bytes((ROOT / "config" / "evpinn.param.yaml").read_bytes())
-    (folder / "fleet.yaml").write_text("cars: [{car: a, vehicle: car.yaml, drives: drives}]\n")
+    (folder / "fleet.yaml").write_text("cars: {a: {vehicle: car.yaml, drives: drives}}\n")
     for command in (
         f"{SIMULATE} --can-log new.log",
         "convert drives/a.csv bag --vehicle car.yaml",
