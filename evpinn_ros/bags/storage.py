@@ -17,10 +17,12 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import TypesysError
 
 from evpinn_ros.bags.channel import Channel
+from evpinn_ros.bags.limits import LONGEST_MESSAGE
 from evpinn_ros.bags.metadata import VERSION
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.types import typestore
 from evpinn_ros.common.errors import InputError, one_line
+from evpinn_ros.common.units import MEBIBYTE
 from evpinn_ros.core.signals.progress import reported
 
 
@@ -65,15 +67,20 @@ def change_storage(
             note(line)
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            count = _copy(reader, out, storage, progress, stopped)
+            count, left_out = _copy(reader, out, storage, progress, stopped)
         except InputError:
             rmtree(out, ignore_errors=True)
             raise
         except (WriterError, TypesysError, sqlite3.Error, OverflowError, OSError) as error:
             rmtree(out, ignore_errors=True)
             raise InputError(f"{source} to {out}: {one_line(error)}") from error
-        if reader.problem is not None:
-            raise InputError(f"{reader.problem}; what could be read is in {out}")
+        problems = [reader.problem] if reader.problem is not None else []
+        if left_out:
+            problems.append(
+                f"{source}: {left_out} messages of over {LONGEST_MESSAGE // MEBIBYTE} MiB left out"
+            )
+        if problems:
+            raise InputError(f"{' | '.join(problems)}; what could be read is in {out}")
         return count
 
 
@@ -83,16 +90,20 @@ def _copy(
     storage: Storage,
     progress: Callable[[float], None] | None,
     stopped: Callable[[], bool],
-) -> int:
-    count = 0
+) -> tuple[int, int]:
+    """Numbers of messages that were copied, and left out: a writer holds five copies of one."""
+    count = left_out = 0
     with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
         channels = sorted(reader.channels(), key=lambda channel: channel.topic)
         new = {channel: _connect(writer, channel) for channel in channels}
         messages = takewhile(lambda _: not stopped(), reader.stored())
         for log_time_ns, channel, data in reported(messages, progress, itemgetter(0)):
+            if len(data) > LONGEST_MESSAGE:
+                left_out += 1
+                continue
             writer.write(new[channel], log_time_ns, data)
             count += 1
-    return count
+    return count, left_out
 
 
 def _connect(writer: Writer, channel: Channel) -> Any:

@@ -21,7 +21,7 @@ from rosbags.rosbag2 import storage_mcap
 import zstandard
 
 from evpinn_ros.bags import limits, mcap_file, mcap_records
-from evpinn_ros.bags.limits import LONGEST_CHUNK
+from evpinn_ros.bags.limits import LONGEST_CHUNK, LONGEST_MESSAGE
 from evpinn_ros.bags.mcap_records import HEAD, MAGIC, PRIVATE
 from evpinn_ros.bags.metadata import INFORMATION, MOST_METADATA
 from evpinn_ros.bags.reader import BagReader
@@ -217,6 +217,18 @@ def one_message(path):
     few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
 
 
+def sound_messages(path):
+    """A sound file of one as long as it may be, and one that does not shrink."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for data in (bytes(LONGEST_CHUNK - 100), bytes(LONGEST_MESSAGE), NOISE):
+            writer.add_message(channel, 5, data, 5)
+        writer.finish()
+
+
 def many_messages(path):
     body = record(Opcode.MESSAGE, MESSAGE.pack(1, 0, 5, 5) + bytes(500)) * (LONGEST_CHUNK // 540)
     few_types(path, record(PRIVATE, NOISE) + chunk(zstd(body), len(body), "zstd"))
@@ -251,7 +263,9 @@ NOISE = np.random.default_rng(1).bytes(400_000)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["info {}", "recover {} new", "convert {} new --storage mcap"])
-@pytest.mark.parametrize("write", [one_message, many_messages, definitions, whole_definitions])
+@pytest.mark.parametrize(
+    "write", [one_message, sound_messages, many_messages, definitions, whole_definitions]
+)
 def test_a_bag_costs_no_command_200_mb(tmp_path, write, command):
     """Files of 0.4 MB, by each limit of what a chunk holds; they took up to 570 MB."""
     write(tmp_path / "a.mcap")

@@ -7,6 +7,7 @@ from mcap.writer import Writer as McapWriter
 import pytest
 from rosbags.rosbag2 import Reader
 
+from evpinn_ros.bags import storage as module
 from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.bags.storage import Storage, change_storage
 from evpinn_ros.bags.writer import BagWriter
@@ -65,6 +66,17 @@ def test_a_time_that_the_other_storage_cannot_hold_is_one_line(tmp_path):
     with pytest.raises(InputError, match="too large"):
         change_storage(tmp_path / "a.mcap", tmp_path / "new", Storage.SQLITE3)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_message_that_is_too_long_is_left_out_and_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "LONGEST_MESSAGE", 300)
+    with pytest.raises(
+        InputError, match=r"\d+ messages of over 0 MiB left out; what could"
+    ) as left:
+        change_storage(URBAN, tmp_path / "new", Storage.SQLITE3)
+    kept = [message for message in raw(URBAN) if len(message[3]) <= 300]
+    assert raw(tmp_path / "new") == kept
+    assert f" {len(raw(URBAN)) - len(kept)} messages" in str(left.value) and kept != raw(URBAN)
 
 
 def test_stopped_it_leaves_a_whole_bag_up_to_there(tmp_path):
