@@ -260,7 +260,8 @@ class _Steps:
             speed = np.concatenate((speed[:-1], (speed[-1:] + after[:1]) / 2.0, after[1:]))
         steep = np.clip(np.diff(height), -self.distance, self.distance)
         height = np.concatenate(([0.0], np.cumsum(steep)))
-        plan = plan_from_speed_profile(time, distance, speed, height)
+        heights = height if self.known.any() else None
+        plan = plan_from_speed_profile(time, distance, speed, heights)
         return replace(plan, commanded=True)  # it was driven so
 
     def _speeds(self, own: np.ndarray) -> np.ndarray:
