@@ -5,7 +5,7 @@ another. Without either these tests are skipped.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 import importlib.util
 import json
 import os
@@ -70,19 +70,23 @@ class Ros2:
         return [(int(code), said) for said, code in zip(parts[::2], parts[1::2], strict=False)]
 
     def ask(self, *words: object) -> str:
-        """What a command that asks the graph prints, once the daemon has found the node.
+        """What a command prints that asks the graph, once it has found the node.
 
-        The command waits for ever for an answer that was sent before DDS had matched it with
-        the node; then another one asks.
+        The daemon can lose a node (people then stop it), and a command waits for ever for an
+        answer that was sent before DDS had matched it with the node; then another one asks,
+        without the daemon.
         """
+        tried: list[str] = []
 
         def answer() -> str:
-            with suppress(subprocess.TimeoutExpired):
-                said = self._said(self._command(words), HANG_S / 4)
-                return said if said.strip() != "Node not found" else ""
-            return ""
+            alone = ("--no-daemon",) if tried else ()
+            try:
+                tried.append(self._said(self._command((*words, *alone)), HANG_S / 4))
+            except subprocess.TimeoutExpired:
+                tried.append("")
+            return "" if tried[-1].strip() == "Node not found" else tried[-1]
 
-        return wait_until(answer, report=lambda: words)
+        return wait_until(answer, report=lambda: (words, tried))
 
     @contextmanager
     def running(self, *words: object) -> Iterator["Running"]:
