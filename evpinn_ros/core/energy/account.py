@@ -398,7 +398,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         corrections, course = self._count(min(until_ns, self._until_ns)), self.meter.course
         if not len(course.predicted.stamp_ns):
             return NO_STATES
-        states = course.states(course.at_predictions())
+        states = course.states(course.up_to(course.predicted.stamp_ns))
         return self._corrected(states, course.predicted.stamp_ns, corrections)
 
     def flush(self) -> EnergyState:
@@ -426,7 +426,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Count the readings up to a stamp, with the course of the meter."""
         stamps, (speeds,) = self._waiting.taken(_Kind.SPEED, until_ns)
         if len(stamps):
-            energies, _, _ = course.consumed(course.before(stamps))
+            energies, _, _ = course.consumed(course.up_to(stamps))
             self._driven.append((stamps, speeds, energies))
         battery = self._waiting.taken(_Kind.BATTERY, until_ns)
         corrections = self._charged(course, battery.stamps, *battery.values)

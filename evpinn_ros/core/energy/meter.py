@@ -210,11 +210,10 @@ class MeterCourse:
         powers = self.predicted, self.measured
         return Counts(*(block.stamp_ns.searchsorted(stamps) for block in powers))
 
-    def at_predictions(self) -> Counts:
-        """Counts of powers up to each prediction."""
-        stamps = self.predicted.stamp_ns
-        heard = self.measured.stamp_ns.searchsorted(stamps, side="right")
-        return Counts(np.arange(1, len(stamps) + 1), heard)
+    def up_to(self, stamps: np.ndarray) -> Counts:
+        """Counts of powers before stamps, ns, or at them, shape (k,)."""
+        powers = self.predicted, self.measured
+        return Counts(*(block.stamp_ns.searchsorted(stamps, side="right") for block in powers))
 
     def newest(self, at: Counts) -> np.ndarray:
         """The newest stamp, ns, shape (k,)."""

@@ -1,5 +1,7 @@
 """Cars for tests: the physics of eq. 21 alone, and one that has learned from a drive."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 import math
@@ -9,6 +11,7 @@ import numpy as np
 
 from benchmarks.truth import CarChain
 from evpinn_ros.core.energy.account import EnergyAccount
+from evpinn_ros.core.energy.meter import NO_STATES, EnergyState
 from evpinn_ros.core.energy.power_model import PowerModel, combined_model
 from evpinn_ros.core.estimation.states import PHYSICS, SIZE, State
 from evpinn_ros.core.signals.block import Block
@@ -21,6 +24,19 @@ from evpinn_ros.replays.simulation.simulate import simulate
 
 class LiveAccount(EnergyAccount):
     """An account that is given one value after the other, and counts each at once."""
+
+    _held = False
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Count all values that come meanwhile at the end, as one block."""
+        self._held = True
+        yield
+        self._held = False
+        self.flush()
+
+    def flush(self) -> EnergyState:
+        return NO_STATES if self._held else super().flush()
 
     def add_measured(self, *row: float) -> None:
         super().add_measured(*map(np.atleast_1d, row))

@@ -1,3 +1,4 @@
+from contextlib import nullcontext
 import json
 import math
 
@@ -32,22 +33,24 @@ def account(capacity=CAPACITY, vehicle="bmw_i3"):
 
 
 def drive(
-    to, seconds, *, power=10e3, predicted=10.5e3, silent=NEVER, blind=NEVER, first_charge=0.9
-):
+    to, seconds, *, power=10e3, predicted=10.5e3, silent=NEVER, blind=NEVER, first_charge=0.9,
+    together=True,
+):  # fmt: skip
     """2 Hz; the battery with its charge is silent in one range, speed in another.
 
     The state of charge falls as the power says, from second 0 on, in steps of 1 / 500.
     """
-    for tick in range(seconds.start * 2, seconds.stop * 2 + 1):
-        t, stamp = tick / 2, START + tick * 500_000_000
-        if not silent.start < t < silent.stop:
-            charge = first_charge - power * t / CAPACITY
-            charge_shown = round(charge * 500) / 500
-            to.add_reading(BatteryReading(stamp, math.nan, math.nan, charge_shown))
-            to.add_measured(stamp, power, 30.0)
-        if not blind.start < t < blind.stop:
-            to.add_speed(stamp, SPEED)
-            to.add_predicted(stamp, predicted, 1e3)
+    with to.together() if together else nullcontext():
+        for tick in range(seconds.start * 2, seconds.stop * 2 + 1):
+            t, stamp = tick / 2, START + tick * 500_000_000
+            if not silent.start < t < silent.stop:
+                charge = first_charge - power * t / CAPACITY
+                charge_shown = round(charge * 500) / 500
+                to.add_reading(BatteryReading(stamp, math.nan, math.nan, charge_shown))
+                to.add_measured(stamp, power, 30.0)
+            if not blind.start < t < blind.stop:
+                to.add_speed(stamp, SPEED)
+                to.add_predicted(stamp, predicted, 1e3)
     return to
 
 
@@ -80,6 +83,14 @@ def test_totals_and_consumption_of_a_drive():
     expected = summary.usable.value / 500.0
     assert summary.remaining.lower < expected < summary.remaining.upper
     assert summary.remaining.distance == pytest.approx(expected, rel=1e-2)
+
+
+def test_a_drive_in_one_block_is_one_of_values_one_by_one():
+    """The energy at a speed holds the power of its moment."""
+    one_by_one, block = (
+        drive(account(), range(300), together=together).summary() for together in (False, True)
+    )
+    assert block.consumption == pytest.approx(one_by_one.consumption, rel=1e-9)
 
 
 def test_a_reset_of_the_trip_leaves_the_lifetime_and_the_charge():

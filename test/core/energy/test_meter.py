@@ -114,7 +114,7 @@ def test_a_battery_that_is_slow_is_counted_as_one_that_is_not(slow, cuts):
             for at in (ticks, told)
         )
         course = metered.add(*blocks)
-        states = course.states(course.at_predictions())
+        states = course.states(course.up_to(course.predicted.stamp_ns))
         truth = np.append(0.0, np.cumsum(powers[1:] + powers[:-1]) / 2 * 0.1)[ticks]
         held = 15e3 * MAX_GAP  # since the last battery reading
         assert (abs(states.consumed - truth) < held + 3 * states.consumed_sigma).all()
