@@ -135,7 +135,7 @@ class Result:
 
     @cached_property
     def forecasts(self) -> pd.DataFrame:
-        """Energy of parts of the drive, forecast as plans at their beginning, beside the measured.
+        """Energy of parts of the drive: forecast as plans at their beginning, and measured.
 
         Columns: `begin_s`, `end_s`, `measured_j`, `forecast_j`, `sigma_j`, and `covered`, True
         if the 90 % band contains the measured energy. Empty in mode

@@ -101,7 +101,7 @@ export = typer.Typer(cls=ReadableGroup, no_args_is_help=True)
 
 @export.callback()
 def group() -> None:
-    """Export what was learned to other programs.
+    """Export the learned energy model to the configuration of other programs.
 
     Example: evpinn export rmf robot.json --vehicle mobile_robot
     """

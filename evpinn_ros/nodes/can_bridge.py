@@ -123,13 +123,14 @@ class CanBridgeNode(GuardedNode):
         if not values["poll"]:
             return
         if not self._profile.requests:
-            raise InputError(f"poll: CAN profile '{self._profile.key}' asks nothing; leave it out")
+            name = self._profile.key
+            raise InputError(f"poll: CAN profile '{name}' defines no requests; unset poll")
         if values["log_file"]:
-            raise InputError("poll: a log cannot be asked; leave it out")
+            raise InputError("poll: a log answers no requests; unset poll")
         if values["interface"] == FRAMES:
-            raise InputError("poll: a topic of frames cannot be asked; leave it out")
+            raise InputError("poll: a topic of frames answers no requests; unset poll")
         if bus_options(values["bus_options"]).get("listen_only"):
-            raise InputError("poll: cannot send with listen_only in bus_options; leave one out")
+            raise InputError("poll: listen_only in bus_options forbids sending; unset one of them")
 
     def _make_bridge(self) -> CanBridge:
         trusted, poll = self.values["trust_profile"], self.values["poll"]

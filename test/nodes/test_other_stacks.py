@@ -19,5 +19,5 @@ def test_frames_of_a_topic_without_their_messages_are_refused(bench):
 
 def test_a_topic_of_frames_cannot_be_asked(bench):
     options = {"interface": "can_msgs", "vehicle": "bmw_i3", "poll": True}
-    with pytest.raises(InputError, match="a topic of frames cannot be asked"):
+    with pytest.raises(InputError, match="a topic of frames answers no requests"):
         bench.start(CanBridgeNode, **options)

@@ -1,11 +1,11 @@
-"""What the battery last gave beside the prediction: it holds for some tenths of a second.
+"""Corrects predicted power by the error at the newest battery reading, which decays in 0.3 s.
 
-The trim (`estimation.trim`) rests on what was known up to the watermark, some tenths of a second
-ago. Errors of neighbouring samples are alike: 64 to 86 % of an error is left after 0.1 s. So
-`power/predicted` adds the error of the newest battery reading before its sample, as it decays
-(Ornstein and Uhlenbeck). Where errors go on as they went, more of it is left; where a prediction
-is noisier than power, its change since then is worth less. What of each is learned from every
-battery reading by the one before, by recursive least squares of two weights that begin at 0.
+The trim (`estimation.trim`) uses data up to the watermark, some tenths of a second ago. Errors of
+neighbouring samples are alike: 64 to 86 % of an error is left after 0.1 s. So `power/predicted`
+adds the error at the newest battery reading before its sample, with the decay of an
+Ornstein-Uhlenbeck process. Two weights, which begin at 0, correct how much of the error is left
+and how much the change of the prediction since then is worth. Recursive least squares learns them
+at every battery reading from the one before it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FADING = 100.0  # s in which the weights forget
 
 
 class Persistence:
-    """Adds to predictions what the battery had beside them."""
+    """Adds the decayed error at the newest battery reading to predictions."""
 
     def __init__(self) -> None:
         """Begin without a prediction."""

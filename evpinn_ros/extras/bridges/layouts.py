@@ -183,7 +183,7 @@ def read_layout(source: str, namespace: str = "") -> Layout:
         return root.text(key) if root.has(key) else ""
 
     if namespace and not root.has("named"):
-        raise root.error("these topics have no namespace")
+        raise root.error("its topics take no --namespace (key 'named' is missing)")
     base = text("named").replace("{namespace}", namespace) if namespace else text("base")
     with as_input_error(path, InputError):
         return Layout(topics, base, tuple(text("around").split()), text("stamp"))

@@ -63,7 +63,7 @@ def reproduction_pictures(outcome: Outcome) -> dict[str, tuple[Picture, Picture]
         f"Fig. {6 if of_model_s else 5}: loss of the power network": _power_losses,
         "Fig. 8: loss of the energy networks": _energy_losses,
         f"Fig. {10 if of_model_s else 9}: battery power and energy": _drive,
-        "The same network on road not yet driven": _unseen,
+        "The same network outside the training": _unseen,
     }
     return {
         title: (_picture(draw, outcome, LOOKS[0]), _picture(draw, outcome, LOOKS[1]))

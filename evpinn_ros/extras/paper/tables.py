@@ -195,8 +195,8 @@ def power_table(outcome: Outcome) -> ResultTable:
         "Power on data not trained on",
         ["method", "scored on", "RMSE, W", "MAE, W", "R\u00b2", "energy"],
         rows,
-        "Under a random split a line in time between neighbours knows nothing of cars; a method "
-        "that does not beat it has shown nothing. The last 20 % is road not yet driven. "
+        "With a random split, interpolation in time between neighbours knows nothing of cars; a "
+        "method that is no better proves nothing. The last 20 % lies outside the training. "
         f"{_beyond(outcome)} `printed` is eq. 21 to the letter, `recovery` the reading that "
         "Table V implies.",
     )

@@ -35,10 +35,10 @@ NAMES = {
     "regeneration": "eta mu",
 }
 CRITERIA = (
-    "A claim holds by: the paper's validation loss or less; R\u00b2 of power "
-    f"{GOOD_R2:g} or more; energy within {GOOD_ENERGY:g} %; all five parameters known from data; "
-    f"at most {BETTER:g} of the plain network's loss (medians over the last nine tenths of the "
-    "epochs)."
+    "The claims hold if, in this order: the validation loss is at most the paper's; R\u00b2 of "
+    f"power is at least {GOOD_R2:g}; energy is within {GOOD_ENERGY:g} %; the data determine all "
+    f"five parameters; the loss is at most {BETTER:g} times the plain network's (medians over the "
+    "last nine tenths of the epochs)."
 )
 
 
@@ -78,14 +78,14 @@ def _fits(outcome: Outcome) -> Finding:
         answer = ClaimAnswer.OPEN
     else:
         answer = ClaimAnswer.FAILS
-    other = "" if settings.optimizer is OptimizerName.ADAM else ", not the paper's adam"
+    other = "" if settings.optimizer is OptimizerName.ADAM else " (the paper used adam)"
     line = _score(outcome, BASELINES[RANDOM], RANDOM).data_loss
     return Finding(
         "The network learns the power of a drive",
         answer,
-        f"loss {_loss(reached)} after {settings.epochs} epochs of {settings.optimizer.value}"
-        f"{other}; the paper's is {_loss(asked)}, that of a straight line between neighbouring "
-        f"samples {_loss(line)}",
+        f"validation loss {_loss(reached)} after {settings.epochs} epochs of "
+        f"{settings.optimizer.value}{other}; in the paper {_loss(asked)}; linear interpolation "
+        f"between neighbouring samples has {_loss(line)}",
     )
 
 
@@ -103,20 +103,21 @@ def _predicts(outcome: Outcome) -> tuple[Finding, Finding]:
     why = ""
     if network.r2 is not None and held.r2 is not None and held.r2 - network.r2 > EXPLAINING:
         why = (
-            ". Time is one of its inputs, and every time there is new to it: asked for the last "
-            f"time that it was trained on, it has {r2_text(held.r2)}"
+            ". Time is an input of the network, and the last fifth lies outside the trained "
+            f"range; with time held at the end of that range, R\u00b2 is {r2_text(held.r2)}"
         )
     return (
         Finding(
-            "It predicts power on road not yet driven",
+            "The network predicts power outside the training",
             power,
-            f"R\u00b2 {r2_text(network.r2)} on the last fifth, where the mean has 0 and the "
-            f"physics alone (eq. 21, fitted) {r2_text(physics.r2)}{why}",
+            f"R\u00b2 {r2_text(network.r2)} on the last fifth of the drive; eq. 21 alone, fitted, "
+            f"has {r2_text(physics.r2)}, the mean 0{why}",
         ),
         Finding(
-            "It predicts energy there",
+            "The network predicts energy outside the training",
             energy,
-            f"off by {_off(network)}, the physics alone by {_off(physics)}",
+            f"error {_off(network)} on the last fifth of the drive; that of eq. 21 alone is "
+            f"{_off(physics)}",
         ),
     )
 
@@ -127,12 +128,14 @@ def _parameters(outcome: Outcome) -> Finding:
     answer = (
         (ClaimAnswer.PARTLY if determined else ClaimAnswer.FAILS) if guessed else ClaimAnswer.HOLDS
     )
-    measured = f"the data determine {_named(determined)}; not determined: {_named(guessed)}"
+    measured = f"the data determine {_named(determined)}"
+    if guessed:
+        measured += f"; they do not determine {_named(guessed)}"
     table_five = f"Table V, {outcome.settings.form.value}"
     if any(score.method == table_five for score in outcome.scores):
         off = _off(_score(outcome, table_five, WHOLE))
-        measured += f". With Table V's values the energy of this drive is off by {off}"
-    return Finding("Speed and power give the parameters of the car", answer, measured)
+        measured += f". With the values of Table V, the energy error of this drive is {off}"
+    return Finding("Speed and power determine the parameters of the car", answer, measured)
 
 
 def _integrates(outcome: Outcome) -> Finding:
@@ -146,11 +149,11 @@ def _integrates(outcome: Outcome) -> Finding:
     else:
         answer = ClaimAnswer.OPEN if last < paper.epoch else ClaimAnswer.FAILS
     return Finding(
-        "Runge-Kutta makes the energy network better",
+        "Runge-Kutta improves the energy network",
         answer,
-        f"loss {_loss(rknn)} with it, {_loss(plain)} without, in {last} epochs; in the paper "
-        f"{_loss(paper.rknn_validation)} and {_loss(paper.dnn_validation)} in {paper.epoch}. "
-        "Exact integration needs no network",
+        f"validation loss {_loss(rknn)} with it and {_loss(plain)} without, in {last} epochs; in "
+        f"the paper {_loss(paper.rknn_validation)} and {_loss(paper.dnn_validation)} in "
+        f"{paper.epoch}. Integrating the power exactly needs no network",
     )
 
 
@@ -164,7 +167,7 @@ def _loss(value: float) -> str:
 
 def _off(score: PowerScore) -> str:
     off = score.energy_error_percent
-    return "an unknown share" if off is None else f"{off:+.1f} %"
+    return "unknown" if off is None else f"{off:+.1f} %"
 
 
 def _named(names: Sequence[str]) -> str:
