@@ -78,7 +78,10 @@ def test_an_experimental_profile_warns(bench, can_bus):
     [
         ({"vehicle": "nissan_leaf"}, "CAN profile 'nissan_leaf' defines no requests"),
         ({"vehicle": "bmw_i3", "log_file": "drive.log"}, "a log answers no requests"),
-        ({"vehicle": "bmw_i3", "bus_options": "listen_only=true"}, "listen_only in bus_options forbids sending"),
+        (
+            {"vehicle": "bmw_i3", "bus_options": "listen_only=true"},
+            "listen_only in bus_options forbids sending",
+        ),
     ],
 )
 def test_leave_of_no_use_is_refused(bench, parameters, reason):
