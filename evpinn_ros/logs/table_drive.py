@@ -108,7 +108,7 @@ class TableDrive(Source):
     ) -> None:
         """Examine the table; InputError if it lacks a column, a unit or a single car."""
         super().__init__(path)
-        self._terrain = options.terrain
+        self._terrain = options.terrain  # None without positions
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
         self._not_traction = ""  # why the voltage is unused
@@ -172,7 +172,11 @@ class TableDrive(Source):
         self.ignored = unused_columns(header, self.rules, taken, survey.empty)
         if self._long is not None:
             self.ignored |= dict.fromkeys(self._long.others, NO_USE)
-        self._level = self._looked_at_all and any(map(self._is_level, columns))
+        if not {rule.quantity for rule in self.rules} >= {*PLACES}:
+            self._terrain = None
+        self._level = (
+            self._looked_at_all and self._terrain is None and any(map(self._is_level, columns))
+        )
         self._start_ns, self.dated = self._start(clocks, stamps)
         self._stamps = stamps  # of the kept rows
         survey.forget_cells()
@@ -198,8 +202,7 @@ class TableDrive(Source):
     @property
     def assumptions(self) -> tuple[str, ...]:
         """Units and signs that the data do not decide, and whether the ground is level."""
-        level = self._level and self._terrain is None
-        return (*super().assumptions, *(LEVEL,) * level)
+        return (*super().assumptions, *(LEVEL,) * self._level)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -407,7 +410,7 @@ class TableDrive(Source):
             for rule in self.rules
             if rule.quantity != "time"
         }
-        if self._terrain is not None and values.keys() >= set(PLACES):
+        if self._terrain is not None:
             heights = _heights(self._terrain, *(values[name] for name in PLACES))
             recorded = values.get("elevation", heights)  # kept where no tile has a height
             values["elevation"] = np.where(np.isnan(heights), recorded, heights)

@@ -173,8 +173,7 @@ def trajectory_plan(message: Any) -> Plan:
         seconds, count = _seconds_of_speeds(distance, speed)
         distance, speed, z = distance[:count], speed[:count], z[:count]
     new = np.concatenate(([True], (np.diff(seconds) > 0) | (np.diff(distance) > 0)))
-    elevation = z[new] if z.any() else None  # planners in two dimensions leave z at 0
-    return plan_from_speed_profile(seconds[new], distance[new], speed[new], elevation)
+    return plan_from_speed_profile(seconds[new], distance[new], speed[new], z[new])
 
 
 def _seconds_of_speeds(distance: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, int]:

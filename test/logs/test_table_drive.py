@@ -11,6 +11,7 @@ from evpinn_ros.core.signals.readings import DRIVE_START_NS, BatteryReading, Spe
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.logs.table_drive import TableDrive
+from evpinn_ros.logs.terrain import Terrain
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 NOMINAL = 350.0
@@ -187,9 +188,9 @@ def test_heights_that_never_change_say_that_the_ground_is_level(
     rows = [f"{t},2,24,-3,{heights if heights is not None else t // 399}\n" for t in range(400)]
     path = tmp_path / "robot.csv"
     path.write_text(f"t_s,speed_mps,voltage_v,current_a,{name}\n" + "".join(rows))
-    drive = open_drive(path, 24.0, ReadOptions(columns=options))
-    grades = [
-        reading.grade for reading in drive.readings() if isinstance(reading, kinds.GradeReading)
-    ]
-    assert grades == [0.0] * 400 * level
-    assert any("the ground is assumed to be level" in note for note in drive.notes) == level
+    (tmp_path / "N48E011.hgt").touch()  # not used: the table has no positions
+    for terrain in (None, Terrain(tmp_path)):
+        drive = open_drive(path, 24.0, ReadOptions(columns=options, terrain=terrain))
+        grades = [r.grade for r in drive.readings() if isinstance(r, kinds.GradeReading)]
+        assert grades == [0.0] * 400 * level
+        assert any("the ground is assumed to be level" in note for note in drive.notes) == level

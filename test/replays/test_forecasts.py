@@ -66,7 +66,9 @@ def test_a_plan_climbs_as_its_altitudes_do():
     middle = slice(20, 80)  # smoothing rounds the ends
     grade = np.diff(plan.elevation[middle]) / np.diff(plan.distance[middle])
     assert grade == pytest.approx(0.02, abs=1e-3)
-    assert not drive_plan(speed, np.empty((0, 2))).elevation.any()
+    for without in (height[:0], height * [1.0, 0.0]):  # a receiver may have no fix
+        plan = drive_plan(speed, without)
+        assert not plan.elevation.any() and not plan.level
 
 
 def test_models_are_kept_every_few_minutes(readings, vehicle):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from evpinn_ros.api.plan import planned_energy
 from evpinn_ros.bags.types import decode, encode, new_message, typestore
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import Uncertain
@@ -17,7 +18,7 @@ from evpinn_ros.core.energy.plan import MAX_POINTS, PlanError, sums
 from evpinn_ros.core.energy.remaining import Cost, Route, remaining
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.core.vehicle.files import load_vehicle
-from evpinn_ros.topics import PATH_TYPE, TRAJECTORY_TYPE
+from evpinn_ros.topics import AUTOWARE_TRAJECTORY_TYPE, PATH_TYPE, TRAJECTORY_TYPE
 from evpinn_ros.topics.messages import header
 from evpinn_ros.topics.plans import forecast_message, plan_of_message
 
@@ -152,6 +153,52 @@ def timed(time, *columns):
     names = ["distance", "elevation"]
     head = header(new_message, NOW, "map")
     return new_message(TRAJECTORY_TYPE, header=head, joint_names=names, points=points)
+
+
+def trajectory(time, *columns):
+    """A trajectory of Autoware: time, ns, distance, height and speed."""
+    points = [
+        new_message(
+            "autoware_planning_msgs/msg/TrajectoryPoint",
+            pose=new_message(
+                "geometry_msgs/msg/Pose",
+                position=new_message("geometry_msgs/msg/Point", x=x, y=-3.0, z=z),
+            ),
+            longitudinal_velocity_mps=speed,
+            time_from_start=new_message(
+                "builtin_interfaces/msg/Duration", sec=t // NANOSECONDS, nanosec=t % NANOSECONDS
+            ),
+        )
+        for t, x, z, speed in zip(
+            time.tolist(), *(column.tolist() for column in columns), strict=True
+        )
+    ]
+    head = header(new_message, NOW, "map")
+    return new_message(AUTOWARE_TRAJECTORY_TYPE, header=head, points=points)
+
+
+@pytest.mark.parametrize("height", [0.0, 212.5])
+@pytest.mark.parametrize(
+    ("kind", "write", "level"),
+    [
+        (PATH_TYPE, lambda time, along, up, _: stamped(time, along, up), False),
+        (PATH_TYPE, lambda time, along, up, _: stamped(0 * time, along, up), False),
+        (AUTOWARE_TRAJECTORY_TYPE, trajectory, False),
+        (AUTOWARE_TRAJECTORY_TYPE, lambda time, *columns: trajectory(0 * time, *columns), False),
+        (TRAJECTORY_TYPE, lambda *_: profile([(0, 0)] * 4, joints=["distance"]), False),
+        (TRAJECTORY_TYPE, timed, True),
+    ],
+)
+def test_a_planner_in_two_dimensions_does_not_say_that_the_road_is_level(
+    kind, write, level, height
+):
+    """Only a joint `elevation` does, whose numbers are all alike."""
+    along = 250.0 * np.arange(4)
+    columns = np.arange(4) * 25 * NANOSECONDS, along, np.full(4, height), np.full(4, 10.0)
+    plan = plan_of_message(kind, encode(write(*columns)), decode)
+    unseen = planned_energy(plan, "bmw_i3").energies.end.unseen
+    assert unseen == pytest.approx(0.0 if level else plan.distance[-1], abs=0.0)
+    assert plan.level == level
 
 
 @pytest.mark.parametrize("seed", range(4))

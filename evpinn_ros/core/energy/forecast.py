@@ -365,8 +365,8 @@ def forecast_plan(
     if points.time.ndim > 1:
         asked = model, weather, head_wind, wind_length, steady
         columns = zip(*(getattr(points, name) for name in COLUMNS), strict=True)
-        each = (dict(zip(COLUMNS, trip, strict=True)) for trip in columns)
-        trips = [forecast_plan(replace(points, **trip), *asked) for trip in each]
+        plans = [replace(points, **dict(zip(COLUMNS, trip, strict=True))) for trip in columns]
+        trips = [forecast_plan(points, *asked) for points in plans]
         time, energy, power, sigma = (
             np.stack([getattr(trip, name) for trip in trips])
             for name in ("time", "energy", "power", "sigma")

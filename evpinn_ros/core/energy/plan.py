@@ -333,7 +333,8 @@ def points_of(plan: Plan | Legs) -> Plan:
         return plan
     mean = np.concatenate(([0.0], plan.length / plan.duration, [0.0]))
     speed = (mean[1:] + mean[:-1]) / 2.0
-    return Plan(sums(plan.duration), sums(plan.length), speed, sums(plan.climb))
+    level = not plan.length[~plan.height_known].any()
+    return Plan(sums(plan.duration), sums(plan.length), speed, sums(plan.climb), level=level)
 
 
 def check_size(points: int) -> None:

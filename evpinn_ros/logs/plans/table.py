@@ -69,7 +69,11 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
     names = [*map(str, given)]
     if columns := profile_columns(names):
         warn_of_unused(names, (name for name, _ in columns.values()))
-        profile = _in_si(columns, given)
+        profile = {
+            what: column
+            for what, column in _in_si(columns, given).items()
+            if what in ("time", "speed") or not np.isnan(column).all()  # an empty one says nothing
+        }
         time, speed, distance = profile["time"], profile["speed"], profile.get("distance")
         plan = plan_from_speed_profile(time, distance, speed, profile.get("elevation"))
         if "grade" in profile:

@@ -17,7 +17,8 @@ LEG = st.tuples(st.floats(1.0, 600.0), st.floats(0.5, 40.0) | st.just(0.0), st.f
 def test_points_keep_length_duration_and_climb_of_every_leg(rows):
     duration, speed, slope = np.array(rows).T
     legs = legs_of_trip(duration * speed, duration, slope * duration * speed)
-    plan = points_of(legs)
+    plan, without = points_of(legs), points_of(legs_of_trip(legs.length, duration))
+    assert plan.level and without.level == (not legs.length.any())
     np.testing.assert_allclose(np.diff(plan.time), legs.duration, rtol=1e-9)
     np.testing.assert_allclose(np.diff(plan.distance), legs.length, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(np.diff(plan.elevation), legs.climb, rtol=1e-6, atol=1e-6)

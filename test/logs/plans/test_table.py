@@ -84,6 +84,13 @@ def test_heights_at_the_ends_are_climbs(read):
         ("t_s,speed_mps", "{0},15", False),
         ("time [s],Speed [km/h],Altitude [m]", "{0},54,0", False),  # may have no fix
         ("length_m,duration_s", "900,60", False),
+        ("t_s,speed_mps,elevation_m", "{0},15,", False),
+        ("t_s,speed_mps,grade_percent", "{0},15,", False),
+        ("t_s,speed_mps,voltage_v,current_a,elevation_m", "{0},15,350,20,", False),
+        ("time [s],Speed [km/h],Altitude [m]", "{0},54,", False),
+        ("length_m,duration_s,climb_m", "900,60,", False),
+        ("length_m,duration_s,grade_percent", "900,60,", False),
+        ("length_m,duration_s,start_elevation_m,end_elevation_m", "900,60,,", False),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
@@ -94,7 +101,9 @@ def test_heights_that_never_change_say_that_the_road_is_level(read, header, row,
         warnings.simplefilter("always")
         planned = planned_energy(read("\n".join((header, *rows)), "plan.csv"), "bmw_i3")
     assert (planned.no_heights() is None) == level
-    assert (planned.energies.end.unseen == 0.0) == level
+    unseen = 0.0 if level else planned.trip.distance[-1]
+    assert planned.energies.end.unseen == pytest.approx(unseen, abs=0.0)
+    assert planned.trip.level == level
     said = any("the ground is assumed to be level" in str(note.message) for note in notes)
     assert said == (level and "elevation" in header)
 
@@ -250,6 +259,11 @@ def test_python_takes_the_same_columns_and_files(tmp_path):
     (tmp_path / "legs.csv").write_text(LEGS)
     for plan in (columns, pd.DataFrame(columns)):
         pd.testing.assert_frame_equal(ev.forecast(tmp_path / "legs.csv"), ev.forecast(plan))
+    speeds = {"t_s": [0.0, 400.0], "speed_mps": [20.0, 20.0]}
+    empty = speeds | {"elevation_m": [None, np.nan]}
+    pd.testing.assert_frame_equal(ev.forecast(empty), ev.forecast(speeds))
+    with pytest.raises(PlanError, match="elevation is not finite at point 2"):
+        ev.forecast(speeds | {"elevation_m": [500.0, None]})
     table = ev.forecast(columns, "bmw_i3", charge_pct=80.0)
     assert table.loc[[0, 150, 630, 870], "distance_m"].tolist() == [0, 1200, 13200, 16200]
     assert 0 < table["charge_pct"].iloc[-1] < 80

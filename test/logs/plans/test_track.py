@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.energy.forecast import forecast_plan
-from evpinn_ros.core.energy.plan import PlanError
+from evpinn_ros.core.energy.plan import PlanError, points_of
 from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.plans.way import way_length
@@ -42,8 +42,9 @@ def gpx(times=CLOCK, heights=HEIGHTS, speeds=None, kind="trk", version="1.1"):
     )
 
 
-def geojson(kind="Feature", **properties):
-    line = [[11.5, 48 + north / DEGREE, z] for north, z in zip(NORTH, HEIGHTS, strict=True)]
+def geojson(kind="Feature", heights=HEIGHTS, **properties):
+    line = [[11.5, 48 + north / DEGREE] for north in NORTH]
+    line = [[*place, z] for place, z in zip(line, heights, strict=True)] if heights else line
     geometry = {"type": "LineString", "coordinates": line}
     feature = {"type": "Feature", "properties": properties, "geometry": geometry}
     if kind == "FeatureCollection":
@@ -108,6 +109,15 @@ def test_places_with_times_are_legs_from_each_to_the_next(read, track):
     assert legs.duration.sum() == pytest.approx(105.0)
     assert reached(at, legs.duration, legs.climb) == pytest.approx([4, 9, 9], abs=1.0)
     assert legs.height_known.all()
+
+
+@pytest.mark.parametrize(
+    "track",
+    [gpx(heights=None), gpx(None, None, 5 * [10.0]), geojson(heights=None, coordTimes=CLOCK)],
+)
+def test_places_without_heights_are_no_level_road(read, track):
+    legs = read(track)
+    assert not legs.height_known.any() and not points_of(legs).level
 
 
 def reached(at, *steps):
