@@ -32,7 +32,7 @@ class McapFile:
         self.notes: list[str] = []  # no file beside it belongs to it
         with as_input_error(path):
             self._file = open_file(path)
-        self._notes: list[str] = []
+        self._damage: list[str] = []
         self._indexed: RosbagsFile | None = None
         try:
             self._open()
@@ -43,9 +43,9 @@ class McapFile:
     @property
     def problem(self) -> str | None:
         """Damage and losses, in one line. Complete once every message was read."""
-        if not self._notes:
+        if not self._damage:
             return None
-        return f"{self.path}: {'; '.join(self._notes)}; {self._readable} messages are readable"
+        return f"{self.path}: {'; '.join(self._damage)}; {self._readable} messages are readable"
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:
         """The messages of the wanted channel ids in log time order; equal times in file order."""
@@ -89,7 +89,7 @@ class McapFile:
 
     def _survey(self) -> None:
         records, counts, losses = McapRecords(self._file, self.path), Counter[int](), list[Loss]()
-        notes: list[str] = []
+        damage: list[str] = []
         try:
             for item in records:
                 if isinstance(item, Message):
@@ -97,22 +97,24 @@ class McapFile:
                 elif isinstance(item, Loss):
                     losses.append(item)
         except InputError as error:  # a bad sector: records before it can be read
-            notes.append(str(error))
+            damage.append(str(error))
         self.counts, self._readable = counts, counts.total()
         self.channels = _channels(records)  # by channel id
         losses = [loss for loss in losses if loss.messages != 0]
         if losses:
             first = losses[0]
-            notes.append(f"cut or damaged at byte {first.begin} of {records.size}: {first.reason}")
+            damage.append(
+                f"cut or damaged at byte {first.begin} of {records.size}: {first.reason}"
+            )
         elif not records.ended:
-            notes.append("the end of the file is missing")
+            damage.append("the end of the file is missing")
         if records.unknown:
-            notes.append(f"the topics of {records.unknown} messages are lost")
+            damage.append(f"the topics of {records.unknown} messages are lost")
         if lost_chunks := sum(loss.chunk for loss in losses):
-            notes.append(f"{lost_chunks} of {records.chunks} chunks are damaged")
+            damage.append(f"{lost_chunks} of {records.chunks} chunks are damaged")
         if not records.unknown and (records.stated or 0) > self._readable:
-            notes.append(f"{(records.stated or 0) - self._readable} messages lost")
-        self._notes = notes
+            damage.append(f"{(records.stated or 0) - self._readable} messages lost")
+        self._damage = damage
 
     def _in_order(self, wanted: Container[int]) -> Iterator[RawMessage]:
         """The messages in log time order, as far as `MOST_HELD` bytes allow."""
@@ -125,8 +127,8 @@ class McapFile:
             while held > MOST_HELD:
                 log_time_ns, _, channel, data = heapq.heappop(waiting)
                 held -= OVERHEAD + len(data)
-                if log_time_ns < newest_ns and OVERLAP not in self._notes:
-                    self._notes.append(OVERLAP)
+                if log_time_ns < newest_ns and OVERLAP not in self._damage:
+                    self._damage.append(OVERLAP)
                 newest_ns = max(newest_ns, log_time_ns)
                 yield log_time_ns, channel, data
         while waiting:

@@ -10,6 +10,7 @@ from pathlib import Path
 from shutil import rmtree
 import sqlite3
 from typing import Any
+from urllib.parse import quote
 
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
@@ -33,13 +34,10 @@ class Storage(str, Enum):
     SQLITE3 = "sqlite3"
 
 
-def _sqlite3_writer(path: Path, _: CompressionMode) -> Any:
+def _sqlite3_writer(path: Path, compression: CompressionMode) -> Any:
     """The library's writer; it parses a path as a URI, in which #, ? and % are reserved."""
-    writer = object.__new__(Sqlite3Writer)
+    writer = Sqlite3Writer(Path(quote(bytes(path.resolve()))), compression)
     writer.path = path / f"{path.name}.db3"
-    writer.conn = sqlite3.connect(writer.path)
-    writer.conn.executescript(writer.SQLITE_SCHEMA)
-    writer.cursor = writer.conn.cursor()
     return writer
 
 

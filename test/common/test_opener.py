@@ -75,7 +75,6 @@ BESIDES = {  # what may open by itself, and why
     "evpinn_ros/common/opener.py": "the opener",
     "evpinn_ros/common/sandbox.py": "the limits of its own process, of /proc",
     "evpinn_ros/common/writer.py": "folders, to lock and to sync",
-    "evpinn_ros/bags/storage.py": "a database that is not there yet",
     "evpinn_ros/core/energy/rknn.py": "weights of the package",
     "evpinn_ros/common/package_data.py": "tables of the package",
     "evpinn_ros/report/html.py": "a script of the package",
