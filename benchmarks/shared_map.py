@@ -108,12 +108,12 @@ def whitened(recorded: RecordedCar, orthogonal: bool) -> Energies:
     for drive in drives:
         seconds = np.cumsum([0.0, *(interval.duration for interval in drive)])
         pairs = zip(drive, seconds, strict=False)
-        done = [posterior.interval_terms(equation, *pair) for pair in pairs]
-        rows = np.array([passed.journey.row for passed in done])
-        noise = [scale @ p.journey.noise + p.interval.sampling_variance for p in done]
+        along = [posterior.interval_terms(equation, *pair) for pair in pairs]
+        rows = np.array([part.journey.row for part in along])
+        noise = [scale @ p.journey.noise + p.interval.sampling_variance for p in along]
         root = np.linalg.cholesky(rows @ covariance @ rows.T + np.diag(noise))
         energy = np.array([interval.energy for interval in drive]) - rows @ equation.mean
-        nodes = np.array([on_grid(p.wheels).sum(0) for p in done]) - rows[:, PHYSICS] @ explained
+        nodes = np.array([on_grid(p.wheels).sum(0) for p in along]) - rows[:, PHYSICS] @ explained
         whole.append(np.linalg.solve(root, np.column_stack((energy, nodes))))
     white = np.vstack(whole)
     white /= max(1.0, float(np.sqrt(np.mean(white[:, 0] ** 2))))  # heavy tails count less

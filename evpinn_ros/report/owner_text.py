@@ -119,8 +119,8 @@ def health_line(gauge: ChargeGauge, drives: Iterable[Drive]) -> str:
     if health.value - DOUBTFUL * health.sigma > 1.0:
         return f"{unknown}: {holds}, more than the {rated}, so one of the two is wrong."
     percent, spread = (100 * share for share in health)
-    known = f"State of health of the battery: {percent:.0f} +- {spread:.0f} % of the {rated}"
-    return f"{known}: {holds}."
+    health_text = f"State of health of the battery: {percent:.0f} +- {spread:.0f} % of the {rated}"
+    return f"{health_text}: {holds}."
 
 
 def heating_note(drive: Drive, breakdown: Mapping[str, Any]) -> str | None:

@@ -208,16 +208,16 @@ class LearnedCar:
     def _with(self, interval: Interval) -> LearnedCar:
         """The car after an interval whose battery was measured."""
         equation, before = self.equation, self._after_dropout()
-        done = interval_terms(equation, interval, before.seconds)
+        terms = interval_terms(equation, interval, before.seconds)
         rehearsals, bands = self.rehearsals.learn(
-            before, equation, done.journey, abs(interval.distance), interval.energy
+            before, equation, terms.journey, abs(interval.distance), interval.energy
         )
         before = replace(before, bands=bands)
-        state, learned = learn(before, equation, done)
-        driven = self.driven.plus(done)
+        state, learned = learn(before, equation, terms)
+        driven = self.driven.plus(terms)
         cold = coldness(interval.conditions.celsius)
-        parts = equation.split(done.rows, done.wheels, cold, done.warmth.tyres)
-        noise = float(state.weights @ state.scale @ done.journey.noise)
+        parts = equation.split(terms.rows, terms.wheels, cold, terms.warmth.tyres)
+        noise = float(state.weights @ state.scale @ terms.journey.noise)
         noise += max(0.0, (learned.residual / OUTLIER) ** 2 - learned.sigma**2)  # an outlier
         weight = GRAVITY * float(state.weights @ state.mean[:, State.MASS_OVER_ETA])  # over eta, N
         return replace(

@@ -212,28 +212,28 @@ def interval_terms(equation: Equation, interval: Interval, seconds: float) -> In
     return IntervalTerms(interval, wheels, rows, journey_of(interval, rows.sum(0)), warmth)
 
 
-def learn(state: CarState, equation: Equation, done: IntervalTerms) -> tuple[CarState, Residual]:
+def learn(state: CarState, equation: Equation, terms: IntervalTerms) -> tuple[CarState, Residual]:
     """The state after an interval whose battery was measured, and its innovation."""
-    interval, conditions = done.interval, done.interval.conditions
+    interval, conditions = terms.interval, terms.interval.conditions
     state = advance(state, interval.duration, unseen_of(interval))
     state = replace(state, celsius=conditions.celsius)
     if interval.steps.motor_known:
-        rows = equation.motor_rows(interval.steps, conditions, done.warmth, done.wheels)
+        rows = equation.motor_rows(interval.steps, conditions, terms.warmth, terms.wheels)
         state = see_motor(state, rows, speed_squared(interval.steps))
-    return update(state, done.journey, interval.energy, _sampling_variance(state, done))
+    return update(state, terms.journey, interval.energy, _sampling_variance(state, terms))
 
 
-def _sampling_variance(state: CarState, done: IntervalTerms) -> float:
+def _sampling_variance(state: CarState, terms: IntervalTerms) -> float:
     """Variance of the energy of an interval due to the rate of its readings, J^2.
 
     Of a log with seconds between its rows it is that of the predicted power. By the measured one
     an interval that missed a burst of power would be trusted, and one that caught it doubted.
     """
-    duration = done.interval.steps.duration
+    duration = terms.interval.steps.duration
     step = float(np.median(duration))
     if step < SPARSE:
-        return done.interval.sampling_variance
-    power = done.rows @ (state.weights @ state.mean) / duration
+        return terms.interval.sampling_variance
+    power = terms.rows @ (state.weights @ state.mean) / duration
     apart = (duration[1:] + duration[:-1]) / 2.0
     bridge = BRIDGE_SHARE * float(np.diff(power) ** 2 @ apart**2)
     return bridge + (TIMING * step) ** 2 * float(power[0] ** 2 + power[-1] ** 2)

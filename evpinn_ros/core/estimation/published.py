@@ -98,15 +98,15 @@ class Driven:
         columns[:, ours] = self.cross[:, theirs]
         return replace(self, cross=columns[:, BESIDE], names=Driven.nowhere().names)
 
-    def plus(self, done: IntervalTerms) -> Driven:
+    def plus(self, terms: IntervalTerms) -> Driven:
         """The sums with one more interval; with motor torque its rows differ, so only the way."""
-        interval, wheels = done.interval, done.wheels
-        now = self._farther(abs(interval.distance), float(done.warmth.tyres), unseen_of(interval))
+        interval, wheels = terms.interval, terms.wheels
+        now = self._farther(abs(interval.distance), float(terms.warmth.tyres), unseen_of(interval))
         if interval.steps.motor_known:
             return now
         keep = math.exp(-interval.duration / DRIVING_MEMORY)
-        terms = done.rows[:, PHYSICS]
-        over = (terms / interval.steps.duration[:, None]).T
+        physics = terms.rows[:, PHYSICS]
+        over = (physics / interval.steps.duration[:, None]).T
         braking = 1.0 - wheels.driving
         moved = wheels.drag, wheels.rolling, wheels.inertia + wheels.climb
         returned = None
@@ -114,8 +114,8 @@ class Driven:
             returned = keep * self.returned + interval.returned
         return replace(
             now,
-            gram=keep * self.gram + over @ terms,
-            cross=keep * self.cross + over @ done.rows[:, BESIDE],
+            gram=keep * self.gram + over @ physics,
+            cross=keep * self.cross + over @ terms.rows[:, BESIDE],
             braked=keep * self.braked
             + np.array([float(braking @ energies) for energies in moved]),
             load_known=interval.conditions.load_known,

@@ -93,8 +93,9 @@ class Intervals(NamedTuple):
     def of_drives(drives: list[Intervals]) -> Intervals:
         """The intervals of drives of one vehicle; the voltage is that of the newest with any."""
         rows, energy, volts = zip(*drives, strict=True)
-        known = [volt for volt in volts if not math.isnan(volt)]
-        return Intervals(np.concatenate(rows), np.concatenate(energy), (math.nan, *known)[-1])
+        measured = [volt for volt in volts if not math.isnan(volt)]
+        newest = (math.nan, *measured)[-1]
+        return Intervals(np.concatenate(rows), np.concatenate(energy), newest)
 
 
 class Sizing:

@@ -27,8 +27,8 @@ def learned(intervals, energy, seconds=1200.0, seed=0):
     """A car after a drive of which each interval took `energy(number)` J beside the prior's."""
     car = LearnedCar.new(EQUATION)
     for number, interval in enumerate(intervals((DriveKind.URBAN, seconds, seed), begin_ns=0)):
-        own = float(interval_terms(EQUATION, interval, 0.0).journey.row @ EQUATION.mean)
-        measured = replace(interval, energy=own + energy(number), sampling_variance=0.0)
+        drawn = float(interval_terms(EQUATION, interval, 0.0).journey.row @ EQUATION.mean)
+        measured = replace(interval, energy=drawn + energy(number), sampling_variance=0.0)
         car = car.after([measured])
     return car
 
@@ -93,6 +93,6 @@ def test_a_whole_drive_is_judged_from_the_second_on(intervals):
     assert car.begin_drive().state.bands.drive == Spread()
     second = car.begin_drive()
     for interval in intervals((DriveKind.URBAN, 300.0, 1), begin_ns=10**12):
-        own = float(interval_terms(EQUATION, interval, 0.0).journey.row @ EQUATION.mean)
-        second = second.after([replace(interval, energy=own, sampling_variance=0.0)])
+        drawn = float(interval_terms(EQUATION, interval, 0.0).journey.row @ EQUATION.mean)
+        second = second.after([replace(interval, energy=drawn, sampling_variance=0.0)])
     assert second.begin_drive().state.bands.drive.cases == pytest.approx(1.0)
