@@ -67,6 +67,18 @@ def plan(name, speed, time_s=(0.0, 100.0, 200.0)):
     return Plan(name=name, time=list(time_s), distance=distance, speed=[speed] * 3)
 
 
+def by_action(bench, plans, **conditions):
+    """Result of a goal of the action."""
+    client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
+    bench.pump(client.server_is_ready)
+    goal = client.send_goal_async(EstimatePlans.Goal(plans=plans, **conditions))
+    bench.pump(goal.done)
+    response = goal.result().get_result_async()
+    bench.pump(response.done)
+    client.destroy()
+    return response.result().result
+
+
 def service(bench, node):
     known = named_vector(new_message, NANOSECONDS, ["payload"], [80.0])
     bench.deliver(node, topics.CONDITIONS, known)
@@ -82,6 +94,16 @@ def service(bench, node):
     assert answer.basis == "estimate/model" and answer.conditions == ["payload"]
 
 
+def heights(bench, node):
+    """A road of equal heights is level; one without may have hills."""
+    unknown, level = plan("unknown", 10.0), plan("level", 10.0)
+    level.elevation = [212.5] * 3
+    answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=[unknown, level])
+    hilly, even = answer.results
+    assert math.isclose(even.energy, hilly.energy, rel_tol=1e-9)
+    assert 0.0 < even.energy_sigma < hilly.energy_sigma
+
+
 def cuts(bench, node):
     """A plan with points between its points takes the same, by the service and by the action."""
     time_s = np.union1d([0.0, 100.0, 200.0], np.random.default_rng(1).uniform(0.0, 200.0, 40))
@@ -89,14 +111,7 @@ def cuts(bench, node):
     finer = Plan(name="finer", speed=[speed] * len(time_s), **columns)
     asked = [plan("whole", speed), finer]
     answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=asked)
-    client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
-    bench.pump(client.server_is_ready)
-    goal = client.send_goal_async(EstimatePlans.Goal(plans=asked))
-    bench.pump(goal.done)
-    result = goal.result().get_result_async()
-    bench.pump(result.done)
-    client.destroy()
-    for whole, cut in (answer.results, result.result().result.results):
+    for whole, cut in (answer.results, by_action(bench, asked).results):
         assert not whole.refusal and not cut.refusal
         assert math.isclose(cut.energy, whole.energy, rel_tol=1e-9)
         assert math.isclose(cut.energy_sigma, whole.energy_sigma, rel_tol=1e-9)
@@ -146,16 +161,9 @@ def conditions(bench, node):
     refusal = ask(temperature=300.0).results[0].refusal
     assert "temperature is 300" in refusal and len(ask(heating=-1.0).results[0].refusal) > 0
     tell()
-    client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
-    bench.pump(client.server_is_ready)
-    asked = PlanConditions(temperature=[-10.0], payload=[200.0])
-    goal = client.send_goal_async(EstimatePlans.Goal(plans=[plan("", 10.0)], conditions=asked))
-    bench.pump(goal.done)
-    result = goal.result().get_result_async()
-    bench.pump(result.done)
-    assert results(result.result().result) == results(typed)
-    assert result.result().result.assumed == typed.assumed
-    client.destroy()
+    expected = PlanConditions(temperature=[-10.0], payload=[200.0])
+    of_goal = by_action(bench, [plan("", 10.0)], conditions=expected)
+    assert results(of_goal) == results(typed) and of_goal.assumed == typed.assumed
 
 
 def batch(plans, points):
@@ -295,7 +303,8 @@ def test_typed_and_standard_topics_are_equal_and_plans_are_compared(bench, urban
         lambda: all(node.received[model] == estimator.published[model] for model in learned)
     )
     bench.stop(estimator)  # else it may tell a new model between two calls that are compared
-    for check in (service, cuts, conditions, batches, energy_goes_on_beside_plans, refusals):
+    checks = service, heights, cuts, conditions, batches, energy_goes_on_beside_plans, refusals
+    for check in checks:
         check(bench, node)
 
 
@@ -322,13 +331,7 @@ def test_calls_are_answered_though_nothing_else_wakes_the_node(bench):
     with processes.started(*command) as process:
         answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=plans)
         assert not any(result.refusal for result in answer.results)
-        client = ActionClient(bench.node, EstimatePlans, "/ev/energy/estimate_plans")
-        bench.pump(client.server_is_ready)
-        goal = client.send_goal_async(EstimatePlans.Goal(plans=plans))
-        bench.pump(goal.done)
-        result = goal.result().get_result_async()
-        bench.pump(result.done)
-        assert [r.name for r in result.result().result.results] == [r.name for r in answer.results]
-        assert not any(r.refusal for r in result.result().result.results)
-        client.destroy()
+        of_goal = by_action(bench, plans)
+        assert [r.name for r in of_goal.results] == [r.name for r in answer.results]
+        assert not any(result.refusal for result in of_goal.results)
         processes.stopped(process)

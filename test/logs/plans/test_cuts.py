@@ -109,24 +109,8 @@ PROFILES = {
 }  # fmt: skip
 
 
-def same(tmp_path, name, contents):
-    figures = []
-    for content in contents:
-        path = tmp_path / name
-        path.write_text(content if isinstance(content, str) else json.dumps(content))
-        plan = as_plan(path, CAR, 72.0 if name == "bare.gpx" else None)
-        planned = planned_energy(plan, CAR, PlanConditions(charge=0.3))
-        assert not plan.commanded or name == "slopes.csv"
-        energies, trip = planned.energies, planned.trip
-        ends = (energies.energy, energies.sigma, trip.time, trip.distance, *planned.charge)
-        figures.append([*(end[-1] for end in ends), planned.empty_at or 0.0])
-    assert figures[1] == pytest.approx(figures[0], rel=1e-9, abs=1e-9)
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("seed", range(3))
-def test_legs_cut_at_random_take_the_same(tmp_path, name, seed):
+def cut_legs(name, seed):
+    """Duration, length and climb of legs, and of the parts of these."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 6))
     duration, speed = rng.uniform(30.0, 900.0, count).round(), rng.uniform(3.0, 33.0, count)
@@ -134,13 +118,11 @@ def test_legs_cut_at_random_take_the_same(tmp_path, name, seed):
     parts = [rng.dirichlet(np.ones(cuts)) for cuts in rng.integers(1, (4, 40, 400)[seed], count)]
     whole = np.stack((duration, duration * speed, climb))
     cut = np.hstack([leg[:, None] * part for leg, part in zip(whole.T, parts, strict=True)])
-    same(tmp_path, name, [FORMATS[name](*legs) for legs in (whole, cut)])
+    return whole, cut
 
 
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", PROFILES)
-@pytest.mark.parametrize("seed", range(3))
-def test_rows_added_on_lines_of_speed_change_nothing(tmp_path, name, seed):
+def cut_lines(name, seed):
+    """Time, speed and height, and with rows between that lie on lines of speed."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 6))
     time, speed = sums(rng.uniform(60.0, 900.0, count)), rng.uniform(0.0, 33.0, count + 1)
@@ -150,5 +132,27 @@ def test_rows_added_on_lines_of_speed_change_nothing(tmp_path, name, seed):
     finer = np.unique(np.concatenate((time, np.arange(0.0, time[-1], every))))
     fast = np.interp(finer, time, speed)
     along = sums(np.diff(finer) * (fast[1:] + fast[:-1]) / 2.0)
-    finely = finer, fast, np.interp(along, way, height)
-    same(tmp_path, name, [PROFILES[name](*rows) for rows in ((time, speed, height), finely)])
+    return (time, speed, height), (finer, fast, np.interp(along, way, height))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("name", "write", "cut"),
+    [
+        *((name, write, cut_legs) for name, write in FORMATS.items()),
+        *((name, write, cut_lines) for name, write in PROFILES.items()),
+    ],
+)
+def test_a_plan_cut_at_random_takes_the_same(tmp_path, name, write, cut, seed):
+    figures = []
+    for columns in cut(name, seed):
+        path, content = tmp_path / name, write(*columns)
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+        plan = as_plan(path, CAR, 72.0 if name == "bare.gpx" else None)
+        planned = planned_energy(plan, CAR, PlanConditions(charge=0.3))
+        assert not plan.commanded or name == "slopes.csv"
+        energies, trip = planned.energies, planned.trip
+        ends = (energies.energy, energies.sigma, trip.time, trip.distance, *planned.charge)
+        figures.append([*(end[-1] for end in ends), planned.empty_at or 0.0])
+    assert figures[1] == pytest.approx(figures[0], rel=1e-9, abs=1e-9)
