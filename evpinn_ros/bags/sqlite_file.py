@@ -121,7 +121,7 @@ class SqliteFile:
     def _open(self) -> None:
         check_file(self.path)
         source = self._with_journals()
-        address = f"file:{quote(str(source.resolve()))}?immutable=1"
+        address = f"file:{quote(bytes(source.resolve()))}?immutable=1"
         with (
             as_input_error(f"{self.path}: Cannot open database", *DAMAGE),
             open_file(source) as file,

@@ -89,7 +89,10 @@ def test_stopped_it_leaves_a_whole_bag_up_to_there(tmp_path):
         assert reader.duration < 5e9
 
 
-@pytest.mark.parametrize("name", ["a#1.mcap", "a?mode=rw.mcap", "a%20b.mcap", "50% [1].mcap"])
+@pytest.mark.parametrize(
+    "name",
+    ["a#1.mcap", "a?mode=rw.mcap", "a%20b.mcap", "50% [1].mcap", os.fsdecode(b"latin \xe4.mcap")],
+)
 def test_a_file_of_any_name_changes_its_storage(tmp_path, name):
     """A new `a#1` was written to the file `a` beside it, and was an empty folder itself."""
     (file,) = URBAN.glob("*.mcap")
