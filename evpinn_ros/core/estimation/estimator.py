@@ -54,7 +54,7 @@ from evpinn_ros.core.estimation.outputs import (
 )
 from evpinn_ros.core.estimation.persistence import Persistence
 from evpinn_ros.core.estimation.size import Similarity
-from evpinn_ros.core.estimation.sizing import Sizing
+from evpinn_ros.core.estimation.sizing import Intervals, Sizing
 from evpinn_ros.core.estimation.worker import InlineWorker
 from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.detector import BATTERY_STUCK
@@ -185,7 +185,10 @@ class EstimatorStatus:
 
 @dataclass(frozen=True, slots=True)
 class SavedEstimator:
-    """State of a car: of its learner, its bands, its lag, and its size if that was learned."""
+    """State of a car: of its learner, its bands, its lag, and its size if that was learned.
+
+    `sizing` is what the size is still looked for in, None once it is settled.
+    """
 
     SAME = ("version", "vehicle", "mode")
 
@@ -196,6 +199,7 @@ class SavedEstimator:
     bands: SavedBands
     lag: Lag | None = None
     size: Annotated[float, Range(*CONSTANTS["relative_size"][:2])] | None = None
+    sizing: Intervals | None = None
 
 
 class _Clock(NamedTuple):
@@ -713,7 +717,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         key, mode = self._vehicle.key, self._settings.mode.value
         lag = self._aligner.saved
         size = None if self._vehicle is self._file else self._vehicle.relative_size
-        return SavedEstimator(STATE_VERSION, key, mode, self._learner.saved(), bands, lag, size)
+        sizing = None if self._sizing is None else self._sizing.intervals()
+        learner = self._learner.saved()
+        return SavedEstimator(STATE_VERSION, key, mode, learner, bands, lag, size, sizing)
 
     def take(self, saved: SavedEstimator) -> None:
         """Go on from a saved state; if this raises, nothing has changed."""
@@ -721,8 +727,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         learner = self._settings.new_learner(Similarity(vehicle).car)
         learner.gated = self._learner.gated
         learner.restore(saved.learner)
+        sizing = None if saved.sizing is None else Sizing(saved.sizing)
         self.handle_time_jump()
-        self._sizing = None  # its size is known, or it was learned as the file's
+        self._sizing = sizing
         self._learner = learner
         self._align(saved.lag)
         self._vehicle, self._similarity = vehicle, Similarity(vehicle)

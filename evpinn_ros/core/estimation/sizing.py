@@ -11,10 +11,11 @@ its place.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
@@ -53,6 +54,7 @@ CAR_STD = 0.28  # of the logarithm of its size
 # Of robots, three-wheelers, trucks and buses; the wings of race cars of 300 kg drag like vans.
 ANY_SHARE = np.array([0.3, 1.0, 0.8, 2.0, 1.5])
 DRAG = 3
+MOST_ENERGY = 1e12  # J of an interval
 VOLTAGE, VOLTAGE_POWER, VOLTAGE_STD, CAR_VOLTAGE_STD = 360.0, 0.5, 0.6, 0.3  # std of logarithms
 
 
@@ -85,9 +87,9 @@ class Intervals(NamedTuple):
         volts: median voltage, NaN without.
     """
 
-    rows: np.ndarray
-    energy: np.ndarray
-    volts: float
+    rows: Annotated[np.ndarray, Range(0.0, MOST_ENERGY, shape=(None, 5))]
+    energy: Annotated[np.ndarray, Range(-MOST_ENERGY, MOST_ENERGY)]
+    volts: Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY, unknown=True)]
 
     @staticmethod
     def of_drives(drives: list[Intervals]) -> Intervals:
@@ -106,9 +108,14 @@ class Sizing:
         over: True once the size is settled.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, earlier: Intervals | None = None) -> None:
+        """Go on from the intervals of earlier drives; ValueError if they do not fit together."""
         self.over = False
         self._earlier: list[Intervals] = []
+        if earlier is not None:
+            if len(earlier.rows) != len(earlier.energy):
+                raise ValueError("intervals for the size: an energy is missing")
+            self._earlier.append(earlier._replace(rows=earlier.rows.reshape(-1, 5)))
         self._begin()
 
     def _begin(self) -> None:
@@ -120,6 +127,10 @@ class Sizing:
         """Go on with another drive of the same vehicle."""
         self._earlier.append(_intervals(joined(self.blocks)))
         self._begin()
+
+    def intervals(self) -> Intervals:
+        """The intervals so far, of all drives."""
+        return Intervals.of_drives([*self._earlier, _intervals(joined(self.blocks))])
 
     def due_ns(self, block: Block) -> int:
         """First stamp in a block, in order of stamps, from which to `look`; `LATER` if none is."""
@@ -136,12 +147,11 @@ class Sizing:
 
     def look(self) -> Size | None:
         """The size, if it is not that of a passenger car; None while unknown."""
-        readings = joined(self.blocks)
-        intervals = Intervals.of_drives([*self._earlier, _intervals(readings)])
+        intervals = self.intervals()
         size, count = size_of(intervals), len(intervals.energy)
         is_car = size is not None and size.log_odds < 0.0 and count >= CAR_INTERVALS
         is_another = size is not None and size.is_another
-        spent = count > MOST_INTERVALS or readings.length > MOST_READINGS
+        spent = count > MOST_INTERVALS or sum(b.length for b in self.blocks) > MOST_READINGS
         self.over = is_another or is_car or spent
         return size if is_another else None
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from evpinn_ros.common.saved_fields import StateError
 from evpinn_ros.core.estimation.estimate import PowerEstimate
 from evpinn_ros.core.estimation.estimator import EstimatorSettings, OnlineEstimator
 from evpinn_ros.core.estimation.hybrid import HybridLearner
@@ -96,17 +97,35 @@ def test_a_passenger_car_or_van_is_none_of_another_size(name, seed):
         assert size is None or not size.is_another
 
 
-def test_short_drives_together_tell_what_one_of_them_does_not():
-    estimator = OnlineEstimator(
-        load_vehicle("generic"), EstimatorSettings(), InlineWorker(lambda: 0.0)
-    )
-    masses = []
+@pytest.mark.parametrize("restarts", [False, True])
+def test_short_drives_together_tell_what_one_of_them_does_not(restarts):
+    def new() -> OnlineEstimator:
+        return OnlineEstimator(
+            load_vehicle("generic"), EstimatorSettings(), InlineWorker(lambda: 0.0)
+        )
+
+    estimator, masses = new(), []
     for seed in (1, 2, 3):
         estimator.add_readings(readings("race car", 120.0, seed))
         estimator.begin_next_drive()
         masses.append(estimator.vehicle.initial.mass)
+        if restarts:
+            saved = json.loads(json.dumps(estimator.export()))
+            estimator = new()
+            estimator.restore(saved)
+            assert estimator.export() == saved
     assert masses[0] == load_vehicle("generic").initial.mass
     assert abs(math.log(masses[-1] / VEHICLES["race car"][0])) < math.log(2.0)
+
+
+def test_intervals_of_a_file_that_do_not_fit_together_are_refused():
+    estimator = OnlineEstimator(
+        load_vehicle("generic"), EstimatorSettings(), InlineWorker(lambda: 0.0)
+    )
+    saved = estimator.export()
+    with pytest.raises(StateError, match="an energy is missing"):
+        estimator.restore({**saved, "sizing": [[[1.0] * 5] * 2, [1.0], 400.0]})
+    assert estimator.export() == saved
 
 
 def test_nothing_is_known_of_too_little_or_of_stamps_that_leap():
