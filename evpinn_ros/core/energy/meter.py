@@ -34,12 +34,13 @@ from evpinn_ros.core.energy.quadrature import (
 )
 from evpinn_ros.core.energy.rknn import STEP_LIMIT, Rknn
 from evpinn_ros.core.energy.uncertainty import LASTING_SHARE, CorrelatedError, sampled
-from evpinn_ros.core.estimation.outputs import NO_POWERS, PowerRows
+from evpinn_ros.core.estimation.outputs import PowerRows
 from evpinn_ros.core.signals.admission import MAX_POWER
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 BATCH = 4000  # steps computed at once by the network
 LAST_NS = np.iinfo(np.int64).max
+NO_STAMPS, UNKNOWN = np.zeros(1, np.int64), np.array([math.nan])
 
 
 class Integrator(str, Enum):
@@ -148,53 +149,74 @@ class SavedMeter:
             raise ValueError(f"rknn is more than {MAX_POWER:g} W all the time")
 
 
-@dataclass(frozen=True, slots=True)
-class MeterCourse:
-    """Totals of a meter along a block.
-
-    Rows of predictions are after 0 to n of them, rows of measurements after 0 to m.
+class PowerCourse(NamedTuple):
+    """Totals of one stream of power along a block of n samples.
 
     Attributes:
-        predicted: the block of predictions.
-        measured: the block of measurements.
-        integrals: of both.
-        parts: predicted energies: the columns of `Bridge`, shape (n + 1, 4).
-        plain: the same energy by trapezoids, J, shape (n + 1,).
-        rknn: by the network, J, and its power, W, shape (n + 1, 2).
-        variances: of the energies predicted and measured, J^2, shapes (n + 1,) and (m + 1,).
-        powers: the last ones used, W, likewise.
-        recent: columns of `RecentPower`, as measured, shape (m + 1, 3).
-        newest_ns: of the stamps, shapes (n + 1,) and (m + 1,).
-        told: last energy of a dropout by the estimator and its 1-sigma, shape (n + 1, 2).
+        stamp_ns: of the samples, shape (n,).
+        integral: of their power.
+        newest_ns: the newest stamp after 0 to n samples, shape (n + 1,) like all below.
+        power: of the last sample used, W.
+        variance: of the energy, J^2.
+    """
+
+    stamp_ns: np.ndarray
+    integral: IntegralCourse
+    newest_ns: np.ndarray
+    power: np.ndarray
+    variance: np.ndarray
+
+    def then(
+        self, stamp_ns: np.ndarray, integral: IntegralCourse, variance: np.ndarray
+    ) -> PowerCourse:
+        """The course of the block that follows."""
+        newest_ns = np.maximum.accumulate(np.concatenate((self.newest_ns[-1:], stamp_ns)))
+        power = np.concatenate((self.power[-1:], integral.end))[integral.used]
+        return PowerCourse(stamp_ns, integral, newest_ns, power, variance)
+
+    def net(self, counts: np.ndarray) -> np.ndarray:
+        """Drawn less regenerated energy after so many samples, J, shape (k,)."""
+        used = self.integral.used[counts]
+        net: np.ndarray = self.integral.drawn[used] - self.integral.regenerated[used]
+        return net
+
+
+@dataclass(frozen=True, slots=True)
+class MeterCourse:
+    """Totals of a meter along a block of n predictions and m measurements.
+
+    Rows of shape (n + 1, ...) are after 0 to n predictions, of (m + 1, ...) after 0 to m
+    measurements; `Counts` choose among both.
+
+    Attributes:
+        predicted: course of predicted power, integrated by trapezoids.
+        measured: course of measured power.
+        rknn: predicted energy by the network, J, and its power, W, shape (n + 1, 2).
+        totals: predictions so far: columns of `Bridge` and the variance, shape (n + 1, 5).
+        told: last energy of a dropout by the estimator and its 1-sigma, J, shape (n + 1, 2).
+        first_ns: stamp of the first prediction, 0 before any, shape (n + 1,).
+        used_ns: stamp of the last prediction that is used, shape (1,).
         since_ns: stamp of the last battery reading, 0 before any, shape (m + 1,).
-        first_ns: stamp of the first prediction, used in its place, shape (n + 1,).
         heard: whether there was a battery reading, shape (m + 1,).
-        anchors: `parts` and variance at that stamp, shape (m + 1, 5).
-        predicted_ns: stamp of the last prediction that is used, shape (1,).
-        anchor_rows: `parts` and variance at it, shape (1, 5).
+        anchors: `totals` at that reading, shape (m + 1, 5).
+        recent: columns of `RecentPower`, as measured, shape (m + 1, 3).
         dropouts: all that ended (`Bridge`, variances of energy and of what lasts, and their
             seconds), shape (m + 1, 7).
         ended: the dropouts that ended in this block.
         dropped: samples dropped before the block.
     """
 
-    predicted: PowerRows
-    measured: PowerRows
-    integrals: tuple[IntegralCourse, IntegralCourse]
-    parts: np.ndarray
-    plain: np.ndarray
+    predicted: PowerCourse
+    measured: PowerCourse
     rknn: np.ndarray
-    variances: tuple[np.ndarray, np.ndarray]
-    powers: tuple[np.ndarray, np.ndarray]
-    recent: np.ndarray
-    newest_ns: tuple[np.ndarray, np.ndarray]
+    totals: np.ndarray
     told: np.ndarray
-    since_ns: np.ndarray
     first_ns: np.ndarray
+    used_ns: np.ndarray
+    since_ns: np.ndarray
     heard: np.ndarray
     anchors: np.ndarray
-    predicted_ns: np.ndarray
-    anchor_rows: np.ndarray
+    recent: np.ndarray
     dropouts: np.ndarray
     ended: tuple[Dropout, ...]
     dropped: int
@@ -217,9 +239,8 @@ class MeterCourse:
 
     def newest(self, at: Counts) -> np.ndarray:
         """The newest stamp, ns, shape (k,)."""
-        newest_ns: np.ndarray = np.maximum(
-            *(stamps[counts] for stamps, counts in zip(self.newest_ns, at, strict=True))
-        )
+        predicted_ns, measured_ns = self.predicted.newest_ns, self.measured.newest_ns
+        newest_ns: np.ndarray = np.maximum(predicted_ns[at.predicted], measured_ns[at.measured])
         return newest_ns
 
     def silent_s(self, at: Counts, stamp_ns: np.ndarray) -> np.ndarray:
@@ -233,23 +254,19 @@ class MeterCourse:
         silent: np.ndarray = ~self.heard[at.measured]
         late = seconds > MAX_GAP
         if late.any():
-            integral = self.integrals[1]
+            integral = self.measured.integral
             counts, which = np.unique(integral.used[at.measured[late]], return_inverse=True)
             longest = np.array([integral.longest(count) for count in counts.tolist()])
             late[late] = seconds[late] > longest[which]
         return silent | late
-
-    def predicted_at(self, at: np.ndarray) -> np.ndarray:
-        """`parts` and variance after so many predictions, shape (k, 5)."""
-        return np.column_stack((self.parts[at], self.variances[0][at]))
 
     def bridges(
         self, at: Counts, seconds: np.ndarray, until: np.ndarray, *, in_turn: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bridge since the last battery reading, its short 1-sigma and its 1-sigma, J.
 
-        Until a moment with these parts and variance, shape (k, 5). `in_turn`: the k are dropouts
-        that followed each other.
+        `until` are the `totals` at their ends, shape (k, 5). `in_turn`: the k are dropouts that
+        followed each other.
 
         From `LEAST_DROPOUT` on, the dropout energy of the estimator counts, before that the
         integral of its powers. The integral also counts after a restart until the next battery
@@ -279,7 +296,7 @@ class MeterCourse:
         open_step = silent | (seconds > MAX_GAP)
         if not open_step.any():
             return dropouts, silent
-        bridge, short, sigma = self.bridges(at, seconds, self.predicted_at(at.predicted))
+        bridge, short, sigma = self.bridges(at, seconds, self.totals[at.predicted])
         variance = sigma**2
         unmeasured_s = np.where(silent, seconds, 0.0)  # a slow battery may still measure it
         present = np.column_stack((bridge, variance, variance - short**2, unmeasured_s))
@@ -297,36 +314,29 @@ class MeterCourse:
     def consumed(self, at: Counts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Net energy, J, its variance, J^2, and time without the battery, s, shape (k,) each."""
         now, _ = self.until_now(at)
-        measured = self._measured(at)[0] + now[:, 0]
-        return measured, self.variances[1][at.measured] + now[:, 4], now[:, 6]
-
-    def _measured(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
-        """Measured energy, and its regenerated part, J."""
-        integral = self.integrals[1]
-        used = integral.used[at.measured]
-        regenerated = integral.regenerated[used]
-        return integral.drawn[used] - regenerated, regenerated
+        energy = self.measured.net(at.measured) + now[:, 0]
+        return energy, self.measured.variance[at.measured] + now[:, 4], now[:, 6]
 
     def states(self, at: Counts) -> EnergyState:
         """States after the counted powers."""
         now, silent = self.until_now(at)
-        measured, regenerated = self._measured(at)
-        predicted_power, measured_power = (
-            powers[counts] for powers, counts in zip(self.powers, at, strict=True)
-        )
+        predicted_power = self.predicted.power[at.predicted]
+        measured_power = self.measured.power[at.measured]
         power = np.where(silent, predicted_power, measured_power)
-        used = [integral.used[counts] for integral, counts in zip(self.integrals, at, strict=True)]
-        gaps = sum(integral.gaps[row] for integral, row in zip(self.integrals, used, strict=True))
+        integrals = self.predicted.integral, self.measured.integral
+        used = [integral.used[counts] for integral, counts in zip(integrals, at, strict=True)]
+        gaps = sum(integral.gaps[row] for integral, row in zip(integrals, used, strict=True))
+        measured, regenerated = self.measured.net(at.measured), integrals[1].regenerated[used[1]]
         rknn, rknn_power = self.rknn[at.predicted].T
         braking = np.where(np.isnan(power), power, np.maximum(-power, 0.0))
-        of_measured = self.variances[1][at.measured]
-        of_predicted = np.sqrt(self.variances[0][at.predicted] + now[:, 5])
+        of_measured = self.measured.variance[at.measured]
+        of_predicted = np.sqrt(self.predicted.variance[at.predicted] + now[:, 5])
         sigma = np.sqrt(np.maximum(of_measured + now[:, 4], 0.0))
         measured_power = np.where(silent, math.nan, measured_power)
         return EnergyState(
             stamp_ns=self.newest(at),
             measured=Flow(measured, measured_power, np.sqrt(of_measured)),
-            predicted=Flow(self.plain[at.predicted], predicted_power, of_predicted),
+            predicted=Flow(self.predicted.net(at.predicted), predicted_power, of_predicted),
             rknn=Flow(rknn, rknn_power, of_predicted),
             regenerated=Flow(regenerated + now[:, 1], braking, sigma),
             consumed=measured + now[:, 0],
@@ -383,33 +393,33 @@ class EnergyMeter(Saveable[SavedMeter]):
         """Go on from saved totals; the next sample starts a new step, not a gap."""
         self._measured = EnergyIntegral(MAX_GAP, saved.measured)
         self._predicted = EnergyIntegral(self._max_gap, saved.predicted)
-        sigmas = saved.predicted_sigma, saved.measured_sigma
-        self._errors = CorrelatedError(sigmas[0]), CorrelatedError(sigmas[1])
-        whole = saved.predicted
-        plain = whole.drawn - whole.regenerated
-        energy = saved.rknn if self._integrator is Integrator.RKNN else plain
-        parts = [energy, whole.regenerated, whole.drawn + whole.regenerated, whole.covered_s]
-        variance = saved.predicted_sigma**2
+        self._errors = (
+            CorrelatedError(saved.predicted_sigma),
+            CorrelatedError(saved.measured_sigma),
+        )
+        nothing = NO_STAMPS[:0]
+        predicted, measured = (
+            PowerCourse(nothing, integral, NO_STAMPS, UNKNOWN, np.array([sigma**2]))
+            for integral, sigma in (
+                (self._predicted.extend(nothing, nothing), saved.predicted_sigma),
+                (self._measured.extend(nothing, nothing), saved.measured_sigma),
+            )
+        )
+        rknn = np.array([[saved.rknn, math.nan]])
+        totals = self._totals(predicted, rknn)
         dropouts = [*saved.bridged, saved.bridged_sigma**2, saved.lasting_sigma**2]
-        nothing = np.zeros(1, np.int64)
         self.course = MeterCourse(
-            NO_POWERS,
-            NO_POWERS,
-            (self._predicted.extend(*NO_POWERS[1:3]), self._measured.extend(*NO_POWERS[1:3])),
-            parts=np.array([parts]),
-            plain=np.array([plain]),
-            rknn=np.array([[saved.rknn, math.nan]]),
-            variances=(np.array([variance]), np.array([saved.measured_sigma**2])),
-            powers=(np.array([math.nan]), np.array([math.nan])),
-            recent=np.array([saved.recent]),
-            newest_ns=(nothing, nothing),
+            predicted,
+            measured,
+            rknn=rknn,
+            totals=totals,
             told=np.full((1, 2), math.nan),
+            first_ns=NO_STAMPS,
+            used_ns=NO_STAMPS,
             since_ns=np.array([saved.until_ns], np.int64),
-            first_ns=nothing,
             heard=np.zeros(1, dtype=bool),
-            anchors=np.array([[*parts, variance]]),
-            predicted_ns=nothing,
-            anchor_rows=np.array([[*parts, variance]]),
+            anchors=totals,
+            recent=np.array([saved.recent]),
             dropouts=np.array([[*dropouts, saved.unmeasured_s]]),
             ended=(),
             dropped=self._predicted.dropped + self._measured.dropped,
@@ -425,57 +435,48 @@ class EnergyMeter(Saveable[SavedMeter]):
         dropped = self._predicted.dropped + self._measured.dropped
         ours = self._predicted.extend(predicted.stamp_ns, predicted.power)
         theirs = self._measured.extend(measured.stamp_ns, np.where(late, math.nan, measured.power))
-        rknn = self._by_network(ours, last.rknn[-1])
-        plain = ours.drawn - ours.regenerated
-        energy = rknn[:, 0] if self._integrator is Integrator.RKNN else plain
-        gross = ours.drawn + ours.regenerated
-        parts = np.stack((energy, ours.regenerated, gross, ours.covered_s), axis=-1)[ours.used]
-        variances = (
-            _variances(self._errors[0], ours, predicted.sigma),
-            _variances(self._errors[1], theirs, measured.sigma, sampled),
-        )
-        # Places of the measurements that are used, and how many predictions come before each.
-        places = theirs.places
-        passed = predicted.stamp_ns.searchsorted(measured.stamp_ns[places])
-        rows = np.concatenate((parts, variances[0][:, None]), axis=1)
-        predicted_ns = np.append(last.predicted_ns, ours.stamps)
-        series = np.concatenate((last.anchor_rows, rows[ours.places + 1]))
-        anchors = np.concatenate((last.anchors[-1:], _at(theirs.stamps, predicted_ns, series)))
+        variance = _variances(self._errors[0], ours, predicted.sigma)
+        predictions = last.predicted.then(predicted.stamp_ns, ours, variance)
+        variance = _variances(self._errors[1], theirs, measured.sigma, sampled)
+        measurements = last.measured.then(measured.stamp_ns, theirs, variance)
+        rknn = self._by_network(ours, last.rknn[-1])[ours.used]
+        totals = self._totals(predictions, rknn)
+        used_ns = np.append(last.used_ns, ours.stamps)
+        series = np.concatenate((last.totals[-1:], totals[ours.places + 1]))
+        anchors = np.concatenate((last.anchors[-1:], _at(theirs.stamps, used_ns, series)))
         since_ns = np.concatenate((last.since_ns[-1:], theirs.stamps))
+        first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())  # 0 without any
         told = np.stack((predicted.energy, predicted.energy_sigma), axis=-1)
-        first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())
         course = MeterCourse(
-            predicted,
-            measured,
-            (ours, theirs),
-            parts=parts,
-            plain=plain[ours.used],
-            rknn=rknn[ours.used],
-            variances=variances,
-            powers=(
-                np.concatenate((last.powers[0][-1:], ours.end))[ours.used],
-                np.concatenate((last.powers[1][-1:], theirs.end))[theirs.used],
-            ),
-            recent=recent_powers(last.recent[-1], theirs)[theirs.used],
-            newest_ns=(
-                _newest(last.newest_ns[0], predicted.stamp_ns),
-                _newest(last.newest_ns[1], measured.stamp_ns),
-            ),
+            predictions,
+            measurements,
+            rknn=rknn,
+            totals=totals,
             told=np.concatenate((last.told[-1:], told)),
-            since_ns=since_ns[theirs.used],
             first_ns=np.repeat((last.first_ns[-1], first_ns), (1, len(predicted.stamp_ns))),
+            used_ns=used_ns[-1:],
+            since_ns=since_ns[theirs.used],
             heard=last.heard[-1] | (theirs.used > 0),
             anchors=anchors[theirs.used],
-            predicted_ns=predicted_ns[-1:],
-            anchor_rows=series[-1:],
+            recent=recent_powers(last.recent[-1], theirs)[theirs.used],
             dropouts=np.repeat(last.dropouts[-1:], len(measured.stamp_ns) + 1, axis=0),
             ended=(),
             dropped=dropped,
         )
-        silences = (~theirs.joined).nonzero()[0]
-        at = Counts(passed[silences], places[silences])
-        self.course = _with_ended(course, at, theirs.stamps[silences])
+        ends = (~theirs.joined).nonzero()[0]  # a measurement after a gap ends a dropout
+        stamps = theirs.stamps[ends]
+        at = Counts(predicted.stamp_ns.searchsorted(stamps), theirs.places[ends])
+        self.course = _with_ended(course, at, stamps)
         return self.course
+
+    def _totals(self, predicted: PowerCourse, rknn: np.ndarray) -> np.ndarray:
+        """Rows of `MeterCourse.totals`, by rows of `MeterCourse.rknn`."""
+        integral = predicted.integral
+        columns = integral.drawn, integral.regenerated, integral.covered_s
+        drawn, regenerated, covered_s = (column[integral.used] for column in columns)
+        energy = rknn[:, 0] if self._integrator is Integrator.RKNN else drawn - regenerated
+        rows = energy, regenerated, drawn + regenerated, covered_s, predicted.variance
+        return np.stack(rows, axis=-1)
 
     def _by_network(self, course: IntegralCourse, last: np.ndarray) -> np.ndarray:
         """Energy by the network after each sample used, and its last mean power, J and W."""
@@ -516,12 +517,6 @@ class EnergyMeter(Saveable[SavedMeter]):
             until_ns=int(course.counted_until(end)[0]),
             recent=RecentPower(*course.recent[-1].tolist()),
         )
-
-
-def _newest(last_ns: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-    """The newest stamp after none of some and after each, ns."""
-    newest_ns: np.ndarray = np.maximum.accumulate(np.concatenate((last_ns[-1:], stamps)))
-    return newest_ns
 
 
 def _joined_to_before(
@@ -575,7 +570,7 @@ def _with_ended(course: MeterCourse, at: Counts, stamps: np.ndarray) -> MeterCou
     columns = np.column_stack((bridges, sigma**2, sigma**2 - short**2, seconds))
     added = np.zeros_like(course.dropouts)
     added[at.measured + 1] = columns
-    measured = course.integrals[1]
+    measured = course.measured.integral
     limits = [measured.longest(count) for count in measured.used[at.measured + 1].tolist()]
     long = seconds > np.maximum(MAX_GAP, limits)
     ended = tuple(
