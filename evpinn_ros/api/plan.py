@@ -20,6 +20,7 @@ from evpinn_ros.core.energy.account import EnergyAccount
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, Uncertain
 from evpinn_ros.core.energy.forecast import (
+    EMPTY,
     Change,
     Forecast,
     PlanBasis,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 TEMPERATURE_STEP = 10.0  # K, of `what_if`
 LONG_ENOUGH, FULL_STEPS = 3.0, 3000  # times the capacity, that empty any battery
 FARTHEST = 3e6  # m; no car gets farther
+ROUNDS = 20  # of finding how far
 CHARGES = ("charge_pct", "charge_sigma_pct")
 TINY = 1e-9  # of a step; a remainder below it is rounding, and makes no row
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
@@ -134,8 +136,8 @@ def forecast(
         One row for each point (and each 50 m of a track with heights), by `t_s` since the first:
         the plan; power, W (with the acceleration and slope that follow the point); energy since
         the first point, J, with its 1-sigma; and the state of charge, percent, with its 1-sigma.
-        The charge is NaN if it or the capacity is unknown, and negative where the battery would
-        already be empty.
+        The charge is NaN if it or the capacity is unknown, and 0 or less from where the battery
+        would be empty.
 
     Raises:
         InputError: a column is missing, the vehicle does not exist, or the plan is invalid
@@ -231,9 +233,31 @@ def _when_full(battery: BatteryModel, energies: Forecast, capacity: Uncertain) -
 
 
 def level_road(speed: float, length: float = FARTHEST) -> Legs:
-    """A level road of a length, m, or as long as one trip may last, at a mean speed, m/s."""
+    """So many m of an endless level road, or as one trip may last, at a mean speed, m/s."""
     length = min(length, 0.9 * LONGEST * speed)
-    return legs_of_trip(np.array([length]), np.array([length / speed]))
+    road = legs_of_trip(np.array([length]), np.array([length / speed]))
+    return replace(road, onward=True)
+
+
+def until_empty(
+    speed: float, car: Any, conditions: PlanConditions, sigmas: float = 0.0
+) -> float | None:
+    """Length of a level road whose forecast ends with the charge plus so many sigmas at 0, m.
+
+    None if that is unknown or never; 0 if the charge does not even give the speed. A part of a
+    longer road takes other energy (uneven speed).
+    """
+    planned = planned_energy(level_road(speed), car, conditions)
+    length = planned.used_up(sigmas)
+    for _ in range(ROUNDS):
+        if not length:
+            break
+        planned = planned_energy(level_road(speed, length), car, conditions)
+        start, *_, end = planned.course[0] + sigmas * planned.course[1]
+        if abs(end) < EMPTY:
+            break
+        length *= float(start / (start - end))
+    return 0.0 if length is not None and length < 1.0 else length
 
 
 def what_if(

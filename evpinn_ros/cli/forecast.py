@@ -23,6 +23,7 @@ from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.common.units import JOULES_PER_KWH, Units, UnitSystem, fixed, kwh_digits
 from evpinn_ros.common.writer import check_outputs
 from evpinn_ros.core.energy.plan import MAX_SPEED
+from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE as QUANTILE
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 MORE = "kWh more than the first"
@@ -114,7 +115,13 @@ def forecast(
     """
     # Imported here: pandas takes longer to import than everything else together.
     from evpinn_ros.api.estimator import Estimator
-    from evpinn_ros.api.plan import level_road, planned_energy, what_if, with_state
+    from evpinn_ros.api.plan import (
+        level_road,
+        planned_energy,
+        until_empty,
+        what_if,
+        with_state,
+    )
     from evpinn_ros.core.energy.plan import PlanConditions
     from evpinn_ros.core.estimation.state_file import vehicle_of
     from evpinn_ros.core.vehicle.files import load_vehicle
@@ -128,16 +135,15 @@ def forecast(
     car = vehicle if state is None else Estimator(vehicle, state=state)
     given = PlanConditions(temperature, heating, head_wind, payload)
     given = with_state(given, charge, stood, prewarmed, steady)
-    how_far = ""
+    lasts: list[float | None] = []
     if paths:
         trips = _read(paths, load_vehicle(vehicle), replace(read_options, pace=pace))
     elif pace is None:
         raise typer.BadParameter("name a plan, or say --speed and --charge")
     else:
-        farthest = planned_energy(level_road(pace), car, given)
+        lasts = [until_empty(pace, car, given, sigmas) for sigmas in (0.0, -QUANTILE, QUANTILE)]
         name = f"{pace * shown.speeds:.4g} {shown.speed}"
-        trips = [(name, level_road(pace, farthest.empty_at or SHOWN_ROAD))]
-        how_far = _how_far(farthest, shown)
+        trips = [(name, level_road(pace, lasts[0] or SHOWN_ROAD))]
     forecasts = [planned_energy(plan, car, given) for _, plan in trips]
     check_outputs((json_file, report))  # now that every file of the inputs was opened
     rows = [
@@ -152,8 +158,8 @@ def forecast(
     ]
     table = PlainTable("Forecast", columns, texts)
     show(table, at_least=WIDE if len(rows) > 1 else 0)
-    if how_far:
-        say(how_far)
+    if lasts and lasts[0] is not None:
+        say(_how_far(100.0 * forecasts[0].charge[0, 0], lasts, shown))
     level: dict[str, list[str]] = {}
     for planned, name in zip(forecasts, names, strict=True):
         if uneven := planned.uneven_part:
@@ -226,17 +232,13 @@ def _metres_per_second(text: str, units: Units) -> float:
     raise typer.BadParameter(f"--speed {text}: say a speed with its unit, as 90km/h or 55mph")
 
 
-def _how_far(farthest: Any, units: Units) -> str:
-    """Sentence on how far a charge lasts on an endless road; empty if unknown."""
-    if farthest.empty_at is None:
-        return ""
+def _how_far(charge: float, lasts: list[float | None], units: Units) -> str:
+    """Sentence on how far a charge, %, lasts: m, and its band, None where that is unknown."""
     empty, *band = (
-        "unknown" if place is None else f"{place / units.metres:.0f}"
-        for place in (farthest.empty_at, *farthest.empty_between)
+        "unknown" if place is None else f"{place / units.metres:.0f}" for place in lasts
     )
-    charge = 100.0 * farthest.charge[0, 0]
     return (
-        f"{charge:.0f} % of charge last for {empty} {units.distance}: 9 times in 10 between "
+        f"{charge:.3g} % of charge last for {empty} {units.distance}: 9 times in 10 between "
         f"{band[0]} and {band[1]}."
     )
 

@@ -156,6 +156,8 @@ def test_how_far_at_a_speed_with_a_charge_is_one_line(evpinn, tmp_path, speed):
     (row,) = json.loads((tmp_path / "f.json").read_text())
     assert row["distance_m"] == pytest.approx(1e3 * place, abs=600.0)
     assert 3.6 * row["distance_m"] / row["duration_s"] == pytest.approx(108.0, rel=1e-4)
+    assert row["empty_at_m"] == pytest.approx(row["distance_m"], rel=1e-5)
+    assert row["charge_pct"] == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("wrong", ["fast", "90 furlongs", "-3km/h", "0", "999km/h"])

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import evpinn_ros as ev
-from evpinn_ros.api.plan import planned_energy, what_if
+from evpinn_ros.api.plan import level_road, planned_energy, until_empty, what_if
 from evpinn_ros.common.units import METRIC
+from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.forecast import forecast_plan, plan_parts
 from evpinn_ros.core.energy.forecaster import Forecaster
@@ -165,6 +166,41 @@ def test_charge_and_where_the_battery_is_empty_are_of_the_road_not_of_the_points
     whole, cut = ([trip.empty_at, *trip.charge[:, -1]] for trip in trips)
     assert cut == pytest.approx(whole, rel=1e-9)
     assert 0.0 < whole[0] < 400e3
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(15.0, 40.0), st.floats(0.001, 1.0), st.booleans())
+def test_how_far_is_where_the_charge_of_that_very_trip_is_used_up(speed, charge, learned):
+    """Also of a short way, whose uneven speed differs from that of a part of a longer one."""
+    car, given = drained_car() if learned else "bmw_i3", PlanConditions(charge=charge)
+    far = until_empty(speed, car, given)
+    assert until_empty(speed, car, given, -1.0) <= far
+    if far:
+        planned = planned_energy(level_road(speed, far), car, given)
+        assert planned.charge[0, -1] == pytest.approx(0.0, abs=1e-6)
+        assert planned.empty_at == pytest.approx(far, rel=1e-4)
+        used = planned.energies.energy[-1] / planned.gauge.capacity.value
+        assert learned or used == pytest.approx(charge, abs=1e-5)
+    else:
+        assert 0.5 * speed**2 * 1300.0 > 0.8 * charge * 21e3 * 3600.0  # what the speed takes
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.001, 1.0), st.lists(st.floats(-0.08, 0.08), min_size=1, max_size=6))
+def test_an_empty_battery_reaches_no_descent_and_a_full_one_takes_none_of_it(charge, slopes):
+    """One charge in the row, in the node's answer and where it is said to be empty."""
+    count = len(slopes)
+    climb = 5e3 * np.array(slopes)
+    plan = legs_of_trip(np.full(count, 5e3), np.full(count, 300.0), climb)
+    planned = planned_energy(plan, "bmw_i3", PlanConditions(charge=charge))
+    assert planned.course[0].max() <= 1.0
+    assert (planned.empty_at is not None) == (planned.charge[0, -1] <= 0.0)
+    start = Uncertain(*planned.charge[:, 0])
+    end = BatteryModel(math.nan).after(planned.energies.on_curve, start, planned.gauge.capacity)
+    assert end.charge.value == max(planned.charge[0, -1], 0.0)
+    curve, capacity = planned.energies.curve, planned.gauge.capacity.value
+    if curve.energy.max() < charge * capacity and curve.energy.min() > (charge - 1.0) * capacity:
+        assert end.charge.value == pytest.approx(charge - curve.energy[-1] / capacity)
 
 
 @pytest.mark.parametrize("kmh", [50.0, 90.0, 130.0])

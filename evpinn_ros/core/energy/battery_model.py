@@ -22,7 +22,7 @@ import numpy as np
 
 from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
-from evpinn_ros.core.energy.forecast import Forecast
+from evpinn_ros.core.energy.forecast import EMPTY, Forecast
 from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral
 from evpinn_ros.core.signals.readings import (
     MAX_CURRENT,
@@ -188,7 +188,7 @@ class BatteryModel(Saveable[SavedBattery]):
         left, sigma = self.along(result, charge, capacity)[:, -1].tolist()
         if not math.isfinite(left + sigma):
             return BatteryEnd(UNKNOWN, math.nan)
-        end, voltage = Uncertain(min(max(left, 0.0), 1.0), sigma), math.nan
+        end, voltage = Uncertain(max(left, 0.0), sigma), math.nan
         if self.known:
             drawn = self._drawn(float(result.power[-1]), left)
             voltage = self._open_voltage(left) - self._resistance() * drawn
@@ -198,7 +198,8 @@ class BatteryModel(Saveable[SavedBattery]):
         """State of charge at each point of one plan and its 1-sigma, shape (2, n).
 
         While too little was learned of the battery, it is energy over capacity. NaN where unknown,
-        below 0 where the battery would be empty.
+        0 or less from where the battery is empty: it reaches no descent behind. A full one takes
+        nothing back.
         """
         if charge.known and self.known:
             full = self._gauge.capacity
@@ -209,6 +210,8 @@ class BatteryModel(Saveable[SavedBattery]):
             left = charge.value - result.energy / full.value
             own = result.sigma / full.value
         lost = (charge.value - left) * full.sigma / full.value
+        left = left - np.maximum(np.maximum.accumulate(left) - 1.0, 0.0)
+        left = np.where(np.maximum.accumulate(left <= EMPTY), np.minimum(left, 0.0), left)
         return np.stack([left, np.sqrt(charge.sigma**2 + own**2 + lost**2)])
 
     def _left(self, result: Forecast, charge: float) -> np.ndarray:

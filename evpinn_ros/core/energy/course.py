@@ -66,7 +66,7 @@ def _of_legs(
 ) -> Course:
     zero = np.zeros_like(legs.duration)
     path = Path(legs.duration, legs.length, zero, zero, legs.climb, zero + density, zero)
-    even = even_course(path, legs.length * ~legs.height_known, piece)
+    even = even_course(path, legs.length * ~legs.height_known, piece, onward=legs.onward)
     time, distance = sums(even.steps.duration), sums(even.steps.distance)
     wind = head_wind * np.exp(-distance / wind_length)
     air = air_of(even.steps.distance / even.steps.duration, (wind[1:] + wind[:-1]) / 2.0)

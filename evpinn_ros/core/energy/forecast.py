@@ -22,7 +22,6 @@ from evpinn_ros.core.energy.charge import ChargeGauge, Uncertain
 from evpinn_ros.core.energy.course import Course, course_of
 from evpinn_ros.core.energy.plan import COLUMNS, Legs, Plan, PlanConditions, PlanError, points_of
 from evpinn_ros.core.energy.power_model import PlanEnd, PowerModel, Weather, vehicle_model
-from evpinn_ros.core.estimation.calibration import GAUSSIAN_QUANTILE
 from evpinn_ros.core.estimation.gaussian import Gaussian, at_least_zero, condition, innovate
 from evpinn_ros.core.estimation.journey import standing, wandered
 from evpinn_ros.core.estimation.states import LASTING, SIZE, State
@@ -125,6 +124,7 @@ UNKNOWN_AIR = Air()
 UNEVEN = "speeding up and braking between the points"
 # Share of the vehicle file's 1-sigma of a plan that is left, above which a note says so.
 HARDLY_DRIVEN = 0.7
+EMPTY = 1e-6  # of the charge; less is rounding
 SHORT_OF_HEIGHTS = 0.01  # share of the way without heights from which on a note says so
 
 
@@ -175,7 +175,7 @@ class PlannedEnergy(NamedTuple):
         basis: the car and the conditions of the forecast.
         energies: along it.
         course: state of charge along the curve of these, 0..1, and its 1-sigma, shape (2, m); NaN
-            where unknown, below 0 where the battery is empty before.
+            where unknown, 0 or less where the battery is empty.
         full: energy that the full battery gives at the mean power of the plan, J.
         gauge: state of charge and capacity.
     """
@@ -257,19 +257,14 @@ class PlannedEnergy(NamedTuple):
     @property
     def empty_at(self) -> float | None:
         """Distance at which the battery is empty, m; None if it lasts or is unknown."""
-        return self._empty(0.0)
+        return self.used_up(0.0)
 
-    @property
-    def empty_between(self) -> tuple[float | None, float | None]:
-        """The 90 % band of that, m; None for an end at which the battery lasts."""
-        return self._empty(-GAUSSIAN_QUANTILE), self._empty(GAUSSIAN_QUANTILE)
-
-    def _empty(self, sigmas: float) -> float | None:
+    def used_up(self, sigmas: float) -> float | None:
         """Distance at which the charge plus a number of its sigmas is used up, m."""
         curve, charge = self.energies.curve, self.course[0] + sigmas * self.course[1]
-        if curve is None or not (charge <= 0.0).any():
+        if curve is None or not (charge <= EMPTY).any():
             return None
-        end = int((charge <= 0.0).argmax())
+        end = int((charge <= EMPTY).argmax())
         here = slice(max(end - 1, 0), end + 1)
         return float(np.interp(0.0, charge[here][::-1], curve.distance[here][::-1]))
 

@@ -105,6 +105,7 @@ class Legs:
         climb: m from its start to its end; 0 where unknown.
         height_known: True where `climb` is known.
         commanded: as of a `Plan`.
+        onward: True if the road goes on, so that the car does not stop at its end.
 
     Raises:
         PlanError: the arrays are no legs.
@@ -115,6 +116,7 @@ class Legs:
     climb: np.ndarray
     height_known: np.ndarray
     commanded: bool = False
+    onward: bool = False
 
     def __post_init__(self) -> None:
         columns = self.length, self.duration, self.climb, self.height_known

@@ -4,7 +4,7 @@ A plan of legs is a function of the road: its speed, its slope and what is known
 Neighbours of equal speed are one run, and neighbours in a run with one slope are one leg, so a
 border between equal legs changes nothing. Within `RAMP` of the border between two runs, at most up
 to their middles, kinetic energy changes linearly along the way from one speed to the other. A trip
-begins and ends standing.
+begins standing, and ends so unless its road goes on.
 """
 
 from __future__ import annotations
@@ -76,13 +76,20 @@ def runs_of(duration: np.ndarray, distance: np.ndarray) -> np.ndarray:
     return np.array(numbers)
 
 
-def even_course(legs: Path, unknown: np.ndarray | None = None, piece: float = math.inf) -> Even:
+def even_course(
+    legs: Path,
+    unknown: np.ndarray | None = None,
+    piece: float = math.inf,
+    *,
+    onward: bool = False,
+) -> Even:
     """The steps of legs at even speed.
 
     Args:
         legs: of one trip.
         unknown: m of each whose height is not known.
         piece: longest step, m.
+        onward: True if the road goes on, so that the last speed is kept.
     """
     run = runs_of(legs.duration, legs.distance)
     unknown = np.zeros_like(legs.duration) if unknown is None else unknown
@@ -100,6 +107,8 @@ def even_course(legs: Path, unknown: np.ndarray | None = None, piece: float = ma
     run, density, wind = run[begins], legs.density[begins], legs.wind[begins]
     ends = np.concatenate((np.zeros((4, 1)), np.cumsum(joined, axis=1)), axis=1)
     time, kinetic_at, kinetic = _ramps(run, ends[0], ends[1])
+    if onward:
+        kinetic[-1] = kinetic[-2]
     knots = [_divided(joined, ends[0], piece), time, ends[0, -1:]]
     knot = np.unique(np.concatenate(knots))
     at = np.stack([np.interp(knot, ends[0], column) for column in ends])
