@@ -154,8 +154,8 @@ class _Gpx:
         self._depth -= 1
         if name in POINTS:
             self._point = None
-        elif name in DETAILS and self._point is not None:
-            self._point[name] = "".join(self._text)
+        elif name in DETAILS and self._point is not None and (text := "".join(self._text).strip()):
+            self._point[name] = text
 
 
 def _local(tag: str) -> str:

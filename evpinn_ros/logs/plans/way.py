@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import NamedTuple
+import warnings
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from evpinn_ros.core.energy.plan import (
     sums,
 )
 from evpinn_ros.core.signals.height import AltitudeDetector
+from evpinn_ros.logs.table_drive import LEVEL
 
 FARTHEST = MAX_SPEED * LONGEST  # m, longest possible trip
 # Positions of a standing receiver drift: if the mean positions over `AROUND` s before and after
@@ -45,6 +47,16 @@ class Heights(NamedTuple):
         places = np.append(np.arange(0.0, distance[-1], HEIGHT_STEP), distance[-1])
         climb = np.diff(np.interp(distance, places, road_height(along, height, places)))
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
+
+    def warn(self) -> None:
+        """Warn of what the heights leave open."""
+        finite = np.isfinite(self.height)
+        count, known = len(finite), int(finite.sum())
+        if known > 1 and np.ptp(self.height[finite]) == 0.0:
+            warnings.warn(LEVEL, stacklevel=3)
+        if 0 < known < count:
+            text = f"elevation: unknown at {count - known} of {count} places"
+            warnings.warn(f"{text}; interpolated between the others", stacklevel=3)
 
     def borders(self, most: int) -> np.ndarray:
         """Distances, m, between which slopes are even and heights known, or not; at most `most`.
@@ -82,7 +94,10 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
         raise PlanError("it takes no time")
     kept[-1] = len(time) - 1
     distance = distance[kept]
-    climb = heights.climbs(distance) if heights else None
+    climb = None
+    if heights is not None:
+        heights.warn()
+        climb = heights.climbs(distance)
     return legs_of_trip(np.diff(distance), np.diff(time[kept]), climb)
 
 

@@ -10,6 +10,7 @@ from evpinn_ros.core.energy.plan import PlanError, points_of
 from evpinn_ros.core.energy.power_model import Weather, vehicle_model
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.logs.plans.way import way_length
+from test.logs.plans import samples
 
 DEGREE = math.radians(1.0) * 6_371_008.8  # m of a meridian
 SECONDS = [0, 20, 20, 45, 105]  # one point twice, then a stop
@@ -118,6 +119,40 @@ def test_places_with_times_are_legs_from_each_to_the_next(read, track):
 def test_places_without_heights_are_no_level_road(read, track):
     legs = read(track)
     assert not legs.height_known.any() and not points_of(legs).level
+
+
+def level_route():
+    answer = samples.graphhopper(["time"], encode=False)
+    for place in answer["paths"][0]["points"]["coordinates"]:
+        place[2] = 7.0
+    return answer
+
+
+EMPTY = ["500", "", " ", "504", "509"]  # heights, as of a receiver that lost them
+
+
+@pytest.mark.parametrize(
+    ("track", "said"),
+    [
+        (gpx(heights=[7.0] * 5), "alike, so the ground is assumed to be level"),
+        (geojson(heights=[7.0] * 5, coordTimes=CLOCK), "alike"),
+        (level_route(), "alike"),
+        (gpx(heights=EMPTY), "unknown at 2 of 5 places"),
+        (gpx(heights=EMPTY).replace("<ele></ele>", "<ele/>"), "unknown at 2 of 5 places"),
+        (geojson(heights=[500.0, None, None, 504.0, 509.0], coordTimes=CLOCK), "unknown at 2 of"),
+    ],
+)
+def test_what_heights_leave_open_is_said(read, track, said):
+    with pytest.warns(UserWarning, match=said):
+        legs = read(track)
+    assert legs.height_known.all()
+
+
+def test_an_empty_element_is_one_that_is_missing(read):
+    legs = read(gpx(CLOCK, [""] * 5))
+    assert not legs.height_known.any()
+    times = gpx([CLOCK[0], " ", "", CLOCK[3], CLOCK[4]], speeds=[""] * 5)
+    assert read(times).duration.sum() == pytest.approx(105.0)
 
 
 def reached(at, *steps):
