@@ -22,6 +22,7 @@ from evpinn_ros.logs.plans.way import (
     legs_between,
     way_length,
     with_borders,
+    without_noise,
     without_wander,
 )
 
@@ -59,6 +60,8 @@ def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
     timed = np.isfinite(time)
     place = place.copy()
     place[timed, :2] = without_wander(place[timed, :2], time[timed])
+    if timed.all():
+        place[:, :2] = without_noise(place[:, :2], time)
     steps = np.diff(way_length(*place[:, :2].T))
     apart = np.flatnonzero(np.diff(part))
     if timed.sum() > 1:

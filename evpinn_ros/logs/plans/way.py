@@ -30,6 +30,14 @@ APART = 1e-5  # m between two positions; less is rounding
 EARTH_RADIUS = 6_371_008.8  # m, the mean of WGS 84
 
 
+NOISY_STEP = 2.0  # s between positions; in longer steps driving looks the same
+NOISE_SECONDS = 1.0  # that noise of a receiver lasts at least
+SHAKEN = 0.3  # m/s^2, median change of acceleration of a car in town
+NOISE_LEFT = 0.1  # m/s^2 of acceleration, 1-sigma
+LEAST_SHAKES = 10
+TINY = 1e-9  # s
+
+
 class Heights(NamedTuple):
     """Heights along a path: `along`, m from its start, and `height`, m; shape (m,) each."""
 
@@ -125,8 +133,9 @@ def without_wander(place: np.ndarray, time: np.ndarray) -> np.ndarray:
     """
     if len(place) < 2 * LEAST_AROUND or (np.diff(time) < 0.0).any():
         return place
-    scale = np.radians(EARTH_RADIUS) * np.array([np.cos(np.radians(place[0, 1])), 1.0])
-    totals = np.concatenate((np.zeros((1, 2)), np.cumsum(place * scale, axis=0)))
+    totals = np.concatenate(
+        (np.zeros((1, 2)), np.cumsum(place * _metres_per_degree(place), axis=0))
+    )
     here = np.arange(1, len(place) + 1)
     around = max(AROUND, LEAST_AROUND * float(np.median(np.diff(time))))
     begin, end = (np.searchsorted(time, time + away, "right") for away in (-around, around))
@@ -142,6 +151,60 @@ def without_wander(place: np.ndarray, time: np.ndarray) -> np.ndarray:
         if np.hypot(*(after[last - 1] - before[first])) < STAYED:
             moved[first:last] = place[first:last].mean(0)
     return moved
+
+
+def without_noise(place: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Longitudes and latitudes, degrees, shape (n, 2), without the noise of a receiver.
+
+    Noise of 2 m once a second is 3 m/s in the speed, which would cost more than the drive. Its
+    size is that by which places shake beyond a car's changes of speed. They are smoothed until it
+    leaves an acceleration of `NOISE_LEFT`, by a filter of fourth order, which keeps bends.
+
+    Args:
+        place: of n points, longitude and latitude, degrees, shape (n, 2).
+        time: of these, s, shape (n,); no step is changed where most are longer than `NOISY_STEP`.
+    """
+    from scipy.ndimage import gaussian_filter1d  # here: 30 MB that only noise needs
+
+    steps = np.diff(time)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if not 0.0 < usual <= NOISY_STEP or (steps < 0.0).any():
+        return place
+    metres = np.unwrap(place, axis=0, period=360.0) * _metres_per_degree(place)
+    stride = max(1, round(NOISE_SECONDS / usual))
+    seconds, moves = np.diff(time[::stride]), np.diff(metres[::stride], axis=0)
+    every = stride * usual
+    told = (np.abs(seconds - every) < every / 2.0) & moves.any(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        speeds = moves * (every / seconds[:, None])
+        shakes = np.diff(speeds, 2, axis=0)[told[2:] & told[1:-1] & told[:-2]]
+    if len(shakes) < LEAST_SHAKES:
+        return place
+    square = np.median((shakes**2).sum(1)) / (2.0 * np.log(2.0))  # of one axis, if normal
+    # The third difference of white noise has 20 times its variance.
+    variance = max(square - (SHAKEN * every**2) ** 2, 0.0) / 20.0
+    width = (1.14 * variance * every / NOISE_LEFT**2) ** 0.2 / usual
+    if width < 0.5:
+        return place
+    moves = np.diff(metres, axis=0)
+    gaps = np.flatnonzero(steps > 3.0 * usual)
+    for first, last in zip(np.append(0, gaps + 1), np.append(gaps, len(steps)), strict=True):
+        seconds, piece = steps[first:last, None], moves[first:last]
+        if not seconds.any():
+            continue
+        smooth = np.zeros_like(piece)
+        weight = np.maximum(gaussian_filter1d(seconds, width, axis=0), TINY)
+        for _ in range(2):
+            smooth += seconds * gaussian_filter1d(piece - smooth, width, axis=0) / weight
+        moves[first:last] = smooth
+    moved = np.concatenate((np.zeros((1, 2)), np.cumsum(moves, axis=0)))
+    return np.asarray(place[0] + moved / _metres_per_degree(place))
+
+
+def _metres_per_degree(place: np.ndarray) -> np.ndarray:
+    """M per degree of longitude and of latitude at the first place, shape (2,)."""
+    shrunk = np.cos(np.radians(place[0, 1]))
+    return np.asarray(np.radians(EARTH_RADIUS) * np.array([shrunk, 1.0]))
 
 
 def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
