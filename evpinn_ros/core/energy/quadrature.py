@@ -20,7 +20,6 @@ from evpinn_ros.core.signals.track import GAP_STEPS, RATE_READINGS
 MAX_GAP = 2.0  # s
 NONE = np.empty(0)
 NO_STAMP = np.iinfo(np.int64).min
-NO_STEP = np.zeros(1, dtype=bool)
 MOST_COUNTED = 1e15  # of any saved value, so that sums stay finite
 Amount: TypeAlias = Annotated[float, Range(0.0, MOST_COUNTED)]
 Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
@@ -178,24 +177,18 @@ class EnergyIntegral:
         )
         taken = finite & (stamps > newest[:-1])
         at, end = stamps[taken], values[taken]
-        is_first = self._last_ns[0] == NO_STAMP
+        is_first = bool(self._last_ns[0] == NO_STAMP)
         before_ns, before = (at, end) if is_first else (self._last_ns, self._last)
-        steps = at - np.concatenate((before_ns[:1], at[:-1]))[: len(at)]
-        steps = steps / NANOSECONDS
+        steps = np.diff(at, prepend=before_ns[:1]) / NANOSECONDS
         begin = np.concatenate((before[:1], end[:-1]))[: len(at)]
-        new = steps[1:] if is_first else steps
-        mask = joined(new, self._max_gap, self._recent)
-        gap = ~mask
-        if is_first and len(at):
-            mask, gap = (np.concatenate((NO_STEP, flags)) for flags in (mask, gap))
-        totals = np.empty((5, len(at) + 1))
+        real = slice(int(is_first), None)  # the first sample of all ends no step
+        mask, gap = np.zeros((2, len(at)), dtype=bool)
+        mask[real] = joined(steps[real], self._max_gap, self._recent)
+        gap[real] = ~mask[real]
         total = self.total
-        totals[:, 0] = total.drawn, total.regenerated, total.covered_s, total.gaps, total.gap_s
-        totals[:2, 1:] = split(steps, begin, end)
-        totals[2, 1:] = steps
-        totals[:3, 1:] *= mask
-        totals[3, 1:], totals[4, 1:] = gap, steps * gap
-        drawn, regenerated, covered_s, gaps, gap_s = totals.cumsum(axis=1)
+        before_all = total.drawn, total.regenerated, total.covered_s, total.gaps, total.gap_s
+        added = *split(steps, begin, end) * mask, steps * mask, gap, steps * gap
+        drawn, regenerated, covered_s, gaps, gap_s = np.column_stack((before_all, added)).cumsum(1)
         course = IntegralCourse(
             counted(taken),
             taken.nonzero()[0],
@@ -208,7 +201,7 @@ class EnergyIntegral:
             regenerated,
             covered_s,
             gaps,
-            np.concatenate((self._recent, new)),
+            np.concatenate((self._recent, steps[real])),
         )
         self._recent = course.recent[-RATE_READINGS:]
         if len(at):

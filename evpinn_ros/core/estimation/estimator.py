@@ -478,21 +478,22 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._told_ns = told_ns[max(0, *(passed - 1)) :] if len(passed) else told_ns
         measured = self._admitted(events.measured, course)
         learned_from = measured if self.enabled else measured.where(slice(0))
-        checkable = admitted(measured)
-        self._seen.add(measured.samples.where(checkable & self.enabled))
+        checked = measured.where(admitted(measured))
+        if self.enabled:
+            self._seen.add(checked.samples)
         span = _span(events, learned_from, told_ns)
         self._ready += events.intervals
         ticks = self._ticks(begun, alignments)
         predictions, learned = self._learn(span, events, learned_from, course, ticks)
+        moments = events.newest
         newest_rows = self._calibrated(
-            PowerKind.PREDICTED, events.newest.samples, events.newest.samples.stamp_ns,
-            self._persistent(events.newest, predictions.newest, course), measured, checkable,
-            events.newest.known_ns.searchsorted(measured.known_ns),
+            PowerKind.PREDICTED, moments.samples, moments.samples.stamp_ns,
+            self._persistent(moments, predictions.newest, course),
+            checked._replace(place=moments.known_ns.searchsorted(checked.known_ns)),
         )  # fmt: skip
         smoothed_rows = self._calibrated(
-            PowerKind.SMOOTHED, events.smoothed, events.smoothed_ns, predictions.smoothed,
-            measured, checkable, measured.place,
-        )  # fmt: skip
+            PowerKind.SMOOTHED, events.smoothed, events.smoothed_ns, predictions.smoothed, checked
+        )
         energies, sigmas = predictions.energies.T
         smoothed_rows = smoothed_rows._replace(energy=energies, energy_sigma=sigmas)
         size = self._similarity.size
@@ -607,9 +608,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         samples: Samples,
         known_ns: np.ndarray,
         predicted: np.ndarray,
-        measured: Measured,
-        checkable: np.ndarray,
-        place: np.ndarray,
+        checked: Measured,
     ) -> PowerRows:
         """Predictions with calibrated 1-sigma, each by what was known before.
 
@@ -618,24 +617,20 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             samples: that are predicted.
             known_ns: stamps of the speeds that complete them, shape (n,).
             predicted: power, W, and the model's 1-sigma, W, shape (n, 2).
-            measured: samples that are known meanwhile.
-            checkable: which of them may be learned from, shape (k,).
-            place: how many predictions come before each of them is known, shape (k,).
+            checked: samples of known power, with the number of predictions before each as `place`.
         """
-        if not (len(predicted) or len(measured.power)):
-            return NO_POWERS
         power, sigma = predicted.T
         new = Waiting(samples.stamp_ns, power, sigma, np.abs(samples.speed) > STANDSTILL_SPEED)
         waiting = self._predictions[kind].and_then(new)
-        stamps = measured.samples.stamp_ns
+        stamps = checked.samples.stamp_ns
         index = waiting.stamp_ns.searchsorted(stamps)
-        checkable = checkable & (np.concatenate((waiting.stamp_ns, (NEVER,)))[index] == stamps)
-        index, place = index[checkable], place[checkable]
-        error = np.abs(measured.power[checkable] - waiting.power[index])
-        columns = place, waiting.moving[index], error, waiting.sigma[index]
-        checked = map(Checked, *(column.tolist() for column in columns))
+        was_predicted = np.append(waiting.stamp_ns, NEVER)[index] == stamps
+        checked, index = checked.where(was_predicted), index[was_predicted]
+        error = np.abs(checked.power - waiting.power[index])
+        columns = checked.place, waiting.moving[index], error, waiting.sigma[index]
+        lessons = [*map(Checked, *(column.tolist() for column in columns))]
         self._predictions[kind] = waiting.after(index)
-        calibrated = self._bands[kind].calibrated(new.moving, sigma, list(checked))
+        calibrated = self._bands[kind].calibrated(new.moving, sigma, lessons)
         return PowerRows.of(known_ns, samples.stamp_ns, power, calibrated)
 
     def parameters(self) -> ParameterSet:

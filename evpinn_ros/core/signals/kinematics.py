@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -123,14 +122,12 @@ class Speeds(NamedTuple):
             speeds, or these lie too close together to determine it.
         """
         if len(moments) > SMOOTHED_AT_ONCE:  # so that memory stays bounded
-            parts = range(0, len(moments), SMOOTHED_AT_ONCE)
-            some = (slice(begin, begin + SMOOTHED_AT_ONCE) for begin in parts)
-            columns = zip(*(self.smoothed(moments[s], until[s]) for s in some), strict=True)
-            speeds, accelerations = map(np.concatenate, columns)
-            return speeds, accelerations
+            return self._smoothed_in_parts(moments, until, SMOOTHED_AT_ONCE)
         back_ns = int(SMOOTHING_BACK * NANOSECONDS) + 1
         first = np.minimum(self.stamps.searchsorted(moments - back_ns), until - MIN_POINTS)
-        index = np.maximum(first, 0)[:, None] + np.arange((until - np.maximum(first, 0)).max())
+        first = np.maximum(first, 0)
+        # A row of speeds for each moment, as long as the longest; those beyond its own weigh 0.
+        index = first[:, None] + np.arange((until - first).max())
         used = index < until[:, None]
         index = np.minimum(index, len(self.stamps) - 1)
         time = (self.stamps[index] - moments[:, None]) / NANOSECONDS
@@ -141,14 +138,21 @@ class Speeds(NamedTuple):
         try:
             coefficients = np.linalg.solve(normal, basis @ self.values[index][..., None])[..., 0]
         except np.linalg.LinAlgError:
-            if len(moments) > 1:
-                alone = [self.smoothed(*pair) for pair in zip(*_ones(moments, until), strict=True)]
-                speeds, accelerations = zip(*alone, strict=True)
-                return np.concatenate(speeds), np.concatenate(accelerations)
+            if len(moments) > 1:  # one of them is singular, which fails the solve of all
+                return self._smoothed_in_parts(moments, until, 1)
             few = np.array([True])
             coefficients = np.empty((1, 3))
         coefficients[few, 0], coefficients[few, 1] = self.values[until[few] - 1], np.nan
         return coefficients[:, 0], coefficients[:, 1]
+
+    def _smoothed_in_parts(
+        self, moments: np.ndarray, until: np.ndarray, size: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`smoothed` of so many moments at once."""
+        some = (slice(begin, begin + size) for begin in range(0, len(moments), size))
+        columns = zip(*(self.smoothed(moments[s], until[s]) for s in some), strict=True)
+        speeds, accelerations = map(np.concatenate, columns)
+        return speeds, accelerations
 
     def slopes(self, moments: np.ndarray, until: np.ndarray) -> np.ndarray:
         """Mean slope of speed over each span of `PROFILE_EDGES` around moments, m/s^2.
@@ -183,11 +187,6 @@ def profile(slopes: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
     """
     beyond = slopes - acceleration[:, None]
     return np.where(np.isnan(beyond), 0.0, beyond)
-
-
-def _ones(*arrays: np.ndarray) -> Iterator[list[np.ndarray]]:
-    """Arrays as lists of arrays of one element."""
-    return (np.split(array, len(array)) for array in arrays)
 
 
 class Taps(NamedTuple):

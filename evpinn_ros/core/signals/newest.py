@@ -148,10 +148,7 @@ class NewestTrack:
         """Take what came, the battery as `told`; the speeds that are newer than all before."""
         self._extend()
         self._latest = []
-        speeds = arrived.get(SpeedReading)
-        if speeds is None:
-            speeds = NO_ARRIVALS
-        motor = arrived.get(MotorReading)
+        speeds, motor = arrived.get(SpeedReading, NO_ARRIVALS), arrived.get(MotorReading)
         before = np.maximum.accumulate(np.append(self._speed.newest_ns, speeds.stamps))[:-1]
         speeds = speeds.where(speeds.stamps > before)
         speed, battery = speeds.values[0], self.battery.before_each(speeds, told)

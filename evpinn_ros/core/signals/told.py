@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evpinn_ros.core.signals.block import FIELDS, NO_ROWS
+from evpinn_ros.core.signals.block import NO_ROWS
+from evpinn_ros.core.signals.power import COARSE
 from evpinn_ros.core.signals.readings import BatteryReading, drawn_power
 from evpinn_ros.core.signals.reorder import Arrived
 from evpinn_ros.core.signals.track import NEVER
 
 MOST_LATEST = 1000  # powers, of which half are kept: far more than come between two speeds
 NO_BATTERY = Arrived(*NO_ROWS[BatteryReading], np.empty(0, np.int64))
-COARSE = FIELDS[BatteryReading].index("power_std")
 
 
 class ToldPower(NamedTuple):
@@ -83,12 +83,13 @@ class ToldTrack:
         measured = ~np.isnan(told.power)
         battery = told.battery
         places = np.concatenate((np.full(len(self._latest), -1), battery.order[measured]))
-        latest_ns, latest = np.array(self._latest or np.empty((0, 2)), dtype=object).T
-        told_ns = np.concatenate((latest_ns.astype(np.int64), battery.stamps[measured]))
-        power = np.concatenate((latest.astype(float), told.power[measured]))
+        latest_ns = np.array([stamp_ns for stamp_ns, _ in self._latest], np.int64)
+        told_ns = np.concatenate((latest_ns, battery.stamps[measured]))
+        power = np.concatenate(([watts for _, watts in self._latest], told.power[measured]))
         newer = told_ns > np.maximum.accumulate(np.append(NEVER, told_ns))[:-1]
         places, told_ns, power = places[newer], told_ns[newer], power[newer]
         last = slice(-MOST_LATEST // 2, None)
         self._latest = [*zip(told_ns[last].tolist(), power[last].tolist(), strict=True)]
+        # Of what had come by then and of what is stamped before, the lesser count.
         which = np.minimum(places.searchsorted(speeds.order), told_ns.searchsorted(speeds.stamps))
         return np.append(NEVER, told_ns)[which], np.append(np.nan, power)[which]
