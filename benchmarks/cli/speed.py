@@ -130,6 +130,7 @@ CAR = "tesla_model_3_lr"
 def speed(
     plans: Annotated[int, typer.Option(min=10, help="Plans asked for over DDS.")] = 1000,
     seconds: Annotated[float, typer.Option(min=60, help="Length of the replayed drive.")] = 1800.0,
+    live: Annotated[int, typer.Option(min=5, help="Seconds of driving through the nodes.")] = 30,
     json_file: JsonOption = None,
 ) -> None:
     """Time replays and forecasts: a drive, many profiles at once, plans asked of `energy`.
@@ -137,7 +138,9 @@ def speed(
     The replay is that of a simulated drive at 10 Hz, from its bag, with learning; beside it runs
     an extended Kalman filter of six states. For the library it measures processor time, in numpy
     and torch. For the node it measures the delay from a plan to its answer, for single plans and
-    for twelve together with all their differences. How accurate forecasts are is measured by
+    for twelve together with all their differences; those of calls of the typed service, where
+    `evpinn_msgs` is installed, and of the topics of a car that drives, beside a node that answers
+    at once; and the memory of the three nodes. How accurate forecasts are is measured by
     `evpinn bench plans`.
 
     Example: evpinn bench speed --plans 300
@@ -153,6 +156,8 @@ def speed(
             note("rclpy is not installed: plans over DDS are left out")
         else:
             figures["plans"] = _plans(plans)
+            keep()
+            figures["live"] = _live(plans, live)
 
 
 def _replay(seconds: float) -> dict[str, float]:
@@ -206,3 +211,49 @@ def _plans(plans: int) -> dict[str, Any]:
     ]
     show(figures_table(f"Plans asked together, with all differences, {rounds.rounds} times", rows))
     return {**load._asdict(), "together": rounds._asdict()}
+
+
+RATE, INPUTS = 200.0, 10.0  # Hz of speed and battery: through the nodes; while plans are asked
+
+
+def _live(calls: int, seconds: int) -> dict[str, Any]:
+    from benchmarks.node_load import Delay, measure_calls, measure_memory, measure_topics
+    from evpinn_ros.nodes.factory import is_installed
+    from evpinn_ros.nodes.typed import PACKAGE
+
+    figures: dict[str, Any] = {}
+    rows = []
+
+    def add(name: str, ours: Delay, floor: Delay, goals: tuple[str, str]) -> None:
+        figures[name] = {"nodes": ours._asdict(), "floor": floor._asdict()}
+        for quantile, goal in zip(("p50_ms", "p99_ms"), goals, strict=True):
+            measured = f"{getattr(ours, quantile):.1f} ms ({getattr(floor, quantile):.1f})"
+            rows.append((f"{name}, {quantile[:3]}", measured, goal))
+
+    with progress_bar("driving", total=2 * seconds, unit="s") as progress:
+        ours = measure_topics(RATE, seconds, progress)
+        floor = measure_topics(RATE, seconds, lambda s: progress(seconds + s), floor=True)
+    for name, goals in GOALS.items():
+        add(name, ours[name], floor[name], goals)
+    if is_installed(PACKAGE):
+        for points in (3, POINTS):
+            with progress_bar(
+                f"calls of {points} points", total=2 * calls, unit="calls"
+            ) as progress:
+                ours_call = measure_calls(points, calls, INPUTS, progress)
+                floor_call = measure_calls(points, calls, INPUTS, progress, floor=True)
+            add(f"service, {points} points", ours_call, floor_call, ("4 ms", "15 ms"))
+    else:
+        note(f"{PACKAGE} is not installed: calls of its service are left out")
+    memory = measure_memory(seconds)
+    figures["memory_mb"] = memory
+    rows.append(("memory of three nodes", f"{sum(memory.values()):.0f} MB", "260 MB"))
+    show(figures_table(f"{RATE:.0f} speeds a second (a node that answers at once)", rows))
+    return figures
+
+
+GOALS = {
+    "power/predicted": ("3 ms", "20 ms"),
+    "power/measured": ("3 ms", ""),
+    "energy/state": ("", ""),
+}
