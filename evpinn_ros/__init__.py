@@ -7,7 +7,7 @@ when it is asked for, so importing the package costs nothing, and none of them n
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 __all__ = [
     "EdgeEnergies",

@@ -20,7 +20,7 @@ from evpinn_ros.core.estimation.terms import equation_of
 from evpinn_ros.core.vehicle.files import CONSTANTS, Vehicle
 from evpinn_ros.topics.messages import BadMessage, NewMessage, finite
 
-MODEL_VERSION = 4  # of the content of `estimate/model`
+MODEL_VERSION = 5  # of the content of `estimate/model`
 MOST_NUMBERS = 100_000  # of a model: twenty times as many as an estimator sends
 MOST_SEED = 2**53  # a seed is sent as a float64
 SEED, RELATIVE_SIZE = "seed", "relative_size"
