@@ -283,6 +283,17 @@ def refusals(bench, node):
     assert int(said["meter"][2]["calls.~/estimate_plan"]) >= 3
 
 
+def test_a_fault_of_ours_refuses_each_plan_of_a_call(bench):
+    node = bench.start(EnergyNode)
+    bench.faulty.add(node)
+    with mock.patch.object(PlanCall, "answer", lambda *_: 1 / 0):
+        for plans in batch(1, 200).plans, batch(2, 200).plans, batch(1, energy.AT_ONCE + 1).plans:
+            answer = bench.call(EstimatePlan, "/ev/energy/estimate_plan", plans=plans)
+            reasons = [result.refusal for result in answer.results]
+            assert reasons == ["internal fault: ZeroDivisionError"] * len(plans)
+    assert node.health().faults == {"estimate_plan: ZeroDivisionError": 3}
+
+
 def test_typed_and_standard_topics_are_equal_and_plans_are_compared(bench, urban):
     estimator = bench.start(EstimatorNode)
     node = bench.start(EnergyNode)
