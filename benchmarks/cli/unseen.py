@@ -66,10 +66,11 @@ def unseen(
     names = [*names_in(methods), *(method or ())]
     for name in names:
         find_method(name)
-    there = [*cars_in(data), *(() if "=" in data else KINDS)]
-    if not sumo_is_there():
+    one_car = "=" in data
+    there = [*cars_in(data), *(() if one_car else KINDS)]
+    if not (one_car or sumo_is_there()):
         note("evpinn: eclipse-sumo and libsumo are not installed, so there are no cars by SUMO")
-    if fastsim_version() is None:
+    if not one_car and fastsim_version() is None:
         note("evpinn: fastsim is not installed, so there are no cars by FASTSim")
     chosen = _chosen(names_in(cars), there)
     tasks = [Task(data, car, name) for car in chosen for name in names]
@@ -87,7 +88,8 @@ def unseen(
                 _show(result.task.car, entry, names)
     for line in LEGEND.splitlines():
         say(line)
-    _show_goals(by_car)
+    if not one_car:
+        _show_goals(by_car)
 
 
 def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:

@@ -35,6 +35,7 @@ log           log of the density at the measured energy; larger is better
 in 90 %       share of the 90 % intervals that hold the energy; width: the mean one
 RMSE W        of power: every sample, or means over 1, 10 and 60 s
 W, %          RMSE of power, error of energy, by the age of the last battery reading
+-             no drive is so long, or the method gives no 1-sigma
 """
 
 
