@@ -480,39 +480,41 @@ class EnergyAccount(Saveable[SavedAccount]):
         charge: np.ndarray,
     ) -> list[_Correction]:
         """Take battery readings; returns the corrections of dropouts, with their stamps."""
+        if len(stamps):
+            self._told.append((stamps, voltage, current, charge))
+        possible = _is_charge(charge)
+        stamps, charge = stamps[possible], charge[possible]
         if not (len(stamps) or course.ended):
             return []
-        self._told.append((stamps, voltage, current, charge))
-        told = np.flatnonzero((charge >= 0.0) & (charge <= 1.0))
-        if not (len(told) or course.ended):
-            return []
-        stamps, charge = stamps[told], charge[told]
         at = course.before(stamps)
-        consumed, variances, unmeasured_s = course.consumed(at)
+        columns = course.consumed(at)
         silent = course.silent(at, course.silent_s(at, stamps))
-        heard = np.append(self._charge_before, charge[~silent])
-        told = stamps[~silent].searchsorted([dropout.end_ns for dropout in course.ended])
-        ends = list(zip(course.ended, heard[told].tolist(), strict=True))
+        # A dropout began at the last charge that came while the battery was measured.
+        heard_ns, heard = stamps[~silent], np.append(self._charge_before, charge[~silent])
+        begun = heard[heard_ns.searchsorted([dropout.end_ns for dropout in course.ended])]
+        self._charge_before = float(heard[-1])
+        ends = [*zip(course.ended, begun.tolist(), strict=True)]
         corrections: list[_Correction] = []
         before = self._before_reset
-        for row, stamp_ns in enumerate(stamps.tolist()):
+        lists = (column.tolist() for column in (stamps, charge, silent, *columns))
+        for number, row in enumerate(zip(*lists, strict=True), start=1):
+            stamp_ns, level, is_silent, consumed, variance, unmeasured_s = row
             while ends and ends[0][0].end_ns < stamp_ns:
                 self._end(*ends.pop(0))
-            level = float(charge[row])
             if self._awaits_charge is not None and stamp_ns >= self._awaits_charge[0].end_ns:
                 added = self._reconcile(*self._awaits_charge, level)
                 corrections.append(_Correction(stamp_ns, added))
                 self._awaits_charge = None
-            seconds = None if silent[row] else before.unmeasured_s + float(unmeasured_s[row])
-            if row + 1 < len(stamps) and not self.gauge.is_new(level, seconds):
+            seconds = None if is_silent else before.unmeasured_s + unmeasured_s
+            # The last one counts in any case, because of its stamp.
+            if number < len(stamps) and not self.gauge.is_new(level, seconds):
                 continue
-            net = before.net.value + float(consumed[row]) + self._correction.energy
-            variance = max(float(variances[row]) - self._correction.variance, 0.0)
+            net = before.net.value + consumed + self._correction.energy
+            variance = max(variance - self._correction.variance, 0.0)
             sigma = math.sqrt(before.variance + variance)
             self.gauge.update(stamp_ns, level, Uncertain(net, sigma), seconds)
-        for ended, charge_before in ends:
-            self._end(ended, charge_before)
-        self._charge_before = float(heard[-1])
+        for end in ends:
+            self._end(*end)
         return corrections
 
     def _end(self, dropout: Dropout, charge: float) -> None:
@@ -577,7 +579,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def charge(self) -> Uncertain:
         """State of charge now, 0..1, its value NaN while unknown."""
         charge = self._waiting.sorted(_Kind.BATTERY).values[2]
-        told = charge[(charge >= 0.0) & (charge <= 1.0)]
+        told = charge[_is_charge(charge)]
         if len(told):
             return Uncertain(float(told[-1]), self.gauge.rounding)
         return self.gauge.charge(self._newest_ns, self.lifetime().net)
@@ -669,6 +671,11 @@ class EnergyAccount(Saveable[SavedAccount]):
             self.battery.take(saved.battery)
         self._begin(saved.before_reset, saved.correction)
         self._charge_before = saved.charge_before
+
+
+def _is_charge(charge: np.ndarray) -> np.ndarray:
+    """True for states of charge that are told and possible, shape (n,)."""
+    return (charge >= 0.0) & (charge <= 1.0)
 
 
 def _is_possible(power: Any, sigma: Any, most: float) -> Any:

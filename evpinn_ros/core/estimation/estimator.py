@@ -371,27 +371,26 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Power at a speed, by scalars and one row of the equation."""
         stamp_ns, speed = reading.stamp_ns, reading.speed
         moved = self._newest.add_speed(stamp_ns, speed)
-        if moved is None:
-            row = np.array([0]), np.array([stamp_ns]), np.array([[speed]]), np.array([known_ns])
-            rows = self._advance(EMPTY, self._newest.add({SpeedReading: Arrived(*row)})).predicted
-            columns = [column.tolist() for column in rows[1:]]
-            powers = (
-                PowerEstimate(PowerKind.PREDICTED, *row) for row in zip(*columns, strict=True)
-            )
-            return next(powers, None)
+        if moved is None:  # the first, after a gap, or late: rare, so left to the arrays
+            columns = Block.of([reading]).rows[SpeedReading]
+            arrived = Arrived(*columns, np.array([known_ns]))
+            newest = self._newest.add({SpeedReading: arrived})
+            _, *rows = self._advance(EMPTY, newest).predicted
+            row = next(zip(*(column.tolist() for column in rows), strict=True), None)
+            return None if row is None else PowerEstimate(PowerKind.PREDICTED, *row)
         if self._surroundings is None:
             self._surroundings = self._stream.around(known_ns)
         weights, around = self._surroundings
         acceleration = sum(map(mul, moved.differences, weights))
         if abs(acceleration) > MAX_ACCELERATION:
             return None
-        slopes = moved.slopes
-        beyond = tuple(slope - acceleration if slope == slope else 0.0 for slope in slopes)
+        # `kinematics.profile` of one moment; a slope that is NaN is not equal to itself.
+        profile = tuple(s - acceleration if s == s else 0.0 for s in moved.slopes)
         sample = around._replace(
             stamp_ns=stamp_ns,
             speed=speed,
             acceleration=acceleration,
-            profile=beyond,
+            profile=profile,
             motor_power=moved.motor_power,
         )
         power, sigma = self._learner.predict(sample)
@@ -474,14 +473,14 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         begun = self._seconds_begun(block.of_kind(SpeedReading).stamps)
         events = self._stream.add(block, newest, intervals=len(begun) > 0)
         told_ns = np.concatenate((self._told_ns, self._stamps_told(block, course)))
-        passed = told_ns.searchsorted(events.smoothed.stamp_ns[-1:], side="right")
-        self._told_ns = told_ns[max(0, *(passed - 1)) :] if len(passed) else told_ns
         measured = self._admitted(events.measured, course)
         learned_from = measured if self.enabled else measured.where(slice(0))
         checked = measured.where(admitted(measured))
         if self.enabled:
             self._seen.add(checked.samples)
         span = _span(events, learned_from, told_ns)
+        # Later samples need the last stamp before them alone.
+        self._told_ns = told_ns[told_ns >= span.battery_ns.max(initial=NEVER)]
         self._ready += events.intervals
         ticks = self._ticks(begun, alignments)
         predictions, learned = self._learn(span, events, learned_from, course, ticks)
