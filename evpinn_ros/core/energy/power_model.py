@@ -105,7 +105,7 @@ class PowerModel:
         return equation.split(self.rows(steps, weather), wheels, cold, warmth.tyres)
 
     def edge_rows(
-        self, edges: Steps, weather: Weather, *, steady: bool = False
+        self, edges: Steps, weather: Weather, warmth: Warmth = WARM, *, steady: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
         """Energy of edges at even speed, which belong to no trip, J per unit, (n, SIZE) each.
 
@@ -113,7 +113,8 @@ class PowerModel:
 
         Args:
             edges: n of them, as `even_steps` has them.
-            weather: on the way; tyres and cabin count as warm.
+            weather: on the way.
+            warmth: of tyres and cabin on each.
             steady: True if they are driven evenly.
 
         Returns:
@@ -123,7 +124,7 @@ class PowerModel:
         # As an edge of at least a metre or a second: shorter ones have no force of their own.
         size = np.where(length > CREEPING * duration, length, duration)
         metre = Steps._make((*(column / size for column in edges[:5]), *edges[5:]))
-        rows = self.rows(metre, weather._replace(start=WARM)) * size[:, None]
+        rows = self.car.equation.rows(metre, self._conditions(weather), warmth) * size[:, None]
         beyond = np.zeros_like(rows)
         if not steady:
             minutes = duration / USUAL_LEG

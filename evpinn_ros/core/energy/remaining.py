@@ -2,8 +2,9 @@
 
 The consumption of the next metres is mostly that of the learned car on its usual legs of a minute,
 at the present temperature and loads (`usual_cost`): a cold morning or a roof box counts before its
-kilometres are driven. Over `MEMORY` it returns to the mean of the last 100 km. So the energy of
-the next d metres is
+kilometres are driven. Tyres and cabin are as cold as in the mean of its drives, for it starts
+again on the way. Over `MEMORY` it returns to the mean of the last 100 km. So the energy of the
+next d metres is
 
     E(d) = c_long d + (c_near - c_long) L (1 - exp(-d / L)),    L = MEMORY
 
@@ -107,7 +108,7 @@ def usual_cost(car: CarModel) -> float:
         return math.nan
     legs = even_steps(np.full_like(MIDDLES, USUAL_LEG), MIDDLES * USUAL_LEG, 0.0 * MIDDLES)
     model = PowerModel(car)
-    rows, _ = model.edge_rows(legs, Weather(model.density()))
+    rows, _ = model.edge_rows(legs, Weather(model.density()), car.unevenness.warmth)
     cost = float(metres @ (rows @ model.car.mean / legs.distance) / metres.sum())
     return cost if math.isfinite(cost) and cost > 0.0 else math.nan
 

@@ -22,7 +22,7 @@ import numpy as np
 from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.even import Even, Path, even_course, runs_of
 from evpinn_ros.core.estimation.states import State
-from evpinn_ros.core.estimation.terms import Equation
+from evpinn_ros.core.estimation.terms import Equation, Warmth
 
 MIDDLES = np.array([2.0, 4.5, 7.5, 10.5, 14.0, 18.0, 22.5, 28.0, 33.0])  # m/s, of nodes
 DURATIONS = np.array([10.0, 30.0, 60.0, 200.0, 600.0, 2000.0])  # s, of nodes
@@ -102,6 +102,7 @@ class Unevenness:
         squares: sum over drives of squared energy by which they strayed from what was expected,
             over the squared size of that (`size_of`).
         drives: how many these are.
+        cold: coldness of tyres and cabin summed over `metres`, m, shape (2,).
     """
 
     metres: Annotated[np.ndarray, Range(0.0, 1e12, shape=MIDDLES.shape)]
@@ -113,6 +114,9 @@ class Unevenness:
     )
     squares: Annotated[float, Range(0.0, MOST_SQUARES)] = PRIOR_SHARE**2 * PRIOR_DRIVES
     drives: Annotated[float, Range(1.0, MOST_DRIVES)] = PRIOR_DRIVES
+    cold: Annotated[np.ndarray, Range(0.0, 1e12, shape=(2,))] = field(
+        default_factory=partial(np.zeros, 2)
+    )
 
     @classmethod
     def none(cls) -> Unevenness:
@@ -123,6 +127,11 @@ class Unevenness:
     def share(self) -> float:
         """1-sigma of a trip's unevenness over the size of its expectation."""
         return float(np.sqrt(self.squares / self.drives))
+
+    @property
+    def warmth(self) -> Warmth:
+        """Mean coldness of tyres and cabin over the metres driven."""
+        return Warmth(*np.minimum(self.cold / max(float(self.metres.sum()), 1.0), 1.0))
 
     def possible(self) -> Unevenness:
         """The value itself; ValueError if its scatter is out of range."""
@@ -150,8 +159,8 @@ class Unevenness:
         energy = _moving(equation, drive) @ mean
         judged = self._judged(equation, mean, drive, float(energy.sum()))
         kept = math.exp(-float(np.abs(drive.distance).sum()) / MEMORY_METRES)
-        metres, by_tables, by_drives = (
-            kept * column for column in (self.metres, self.by_tables, self.by_drives)
+        metres, by_tables, by_drives, cold = (
+            kept * column for column in (self.metres, self.by_tables, self.by_drives, self.cold)
         )
         unit = (_per_metre(equation, equation.vehicle.air_density) @ mean[UNEVEN_STATES]).mean(0)
         owners = [_cut(drive.duration, seconds) for seconds in LEG_SECONDS]
@@ -166,7 +175,8 @@ class Unevenness:
         minutes = drive.legs(_cut(drive.duration, USUAL_LEG))
         for node, share in _between(np.abs(minutes.distance) / minutes.duration, MIDDLES):
             np.add.at(metres, node, share * np.abs(minutes.distance))
-        return replace(judged, metres=metres, by_tables=by_tables, by_drives=by_drives)
+        cold += np.stack(Warmth.after(0.0).during(drive.duration)) @ np.abs(drive.distance)
+        return replace(judged, metres=metres, by_tables=by_tables, by_drives=by_drives, cold=cold)
 
     def _judged(
         self, equation: Equation, mean: np.ndarray, drive: Path, energy: float

@@ -10,10 +10,11 @@ import pytest
 from evpinn_ros.core.energy.edges import edge_energies
 from evpinn_ros.core.energy.forecast import PlanBasis, forecast_plan
 from evpinn_ros.core.energy.plan import PlanConditions, legs_of, legs_of_trip
-from evpinn_ros.core.energy.power_model import PowerModel, vehicle_model
+from evpinn_ros.core.energy.power_model import PowerModel, Weather, even_steps, vehicle_model
 from evpinn_ros.core.energy.remaining import usual_cost
+from evpinn_ros.core.estimation.even import Path
 from evpinn_ros.core.estimation.states import State
-from evpinn_ros.core.estimation.terms import WARM
+from evpinn_ros.core.estimation.terms import WARM, Warmth
 from evpinn_ros.core.estimation.unevenness import MIDDLES, USUAL_LEG, Unevenness
 from evpinn_ros.core.vehicle.files import load_vehicle
 from test.core.energy.cars import FEW, taught
@@ -75,7 +76,7 @@ def test_an_edge_at_even_speed_is_a_leg_within_a_long_road_of_its_kind(name, row
 @pytest.mark.parametrize("celsius", [None, -15.0, 30.0])
 @pytest.mark.parametrize("name", ["bmw_i3", "taught"])
 def test_the_usual_cost_of_range_is_that_of_edges(name, celsius):
-    """In the air of now."""
+    """In the air of now, for a car whose drives never end."""
     warm = replace(car(name).car, seconds=1e6, celsius=celsius)
     metres = 1000.0 * np.arange(1.0, len(MIDDLES) + 1.0)
     model = PowerModel(replace(warm, unevenness=replace(Unevenness.none(), metres=metres)))
@@ -84,3 +85,23 @@ def test_the_usual_cost_of_range_is_that_of_edges(name, celsius):
     edges = edge_energies(legs, model, weather)
     cost = np.average(edges.energy / legs.length, weights=metres)
     assert usual_cost(model.car) == pytest.approx(cost, rel=1e-9)
+
+
+@FEW
+@given(CARS, st.floats(600.0, 4000.0), st.sampled_from(MIDDLES[2:]), st.floats(-20.0, 40.0))
+def test_the_usual_cost_of_range_has_the_starts_of_the_drives(name, seconds, speed, celsius):
+    """Of drives of this length, each of which begins cold."""
+    new = replace(car(name).car, celsius=celsius)
+    duration = np.full(int(seconds), seconds / int(seconds))
+    length = speed * duration
+    drive = Path(duration, length, speed**2 * length, *(0.0 * length for _ in range(4)))
+    uneven = Unevenness.none().after(new.equation, new.mean, drive)
+    endless = replace(uneven, cold=np.zeros(2))
+    often, never = (usual_cost(replace(new, unevenness=u)) for u in (uneven, endless))
+    model = PowerModel(new)
+    steps, density = even_steps(duration, length, 0.0 * length), model.density()
+    cold, warm = (
+        float((model.rows(steps, Weather(density, start=start)) @ new.mean).sum())
+        for start in (Warmth.after(0.0), WARM)
+    )
+    assert length.sum() * (often - never) == pytest.approx(cold - warm)
