@@ -482,7 +482,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Take battery readings; returns the corrections of dropouts, with their stamps."""
         if len(stamps):
             self._told.append((stamps, voltage, current, charge))
-        possible = _is_charge(charge)
+        possible = (charge >= 0.0) & (charge <= 1.0)
         stamps, charge = stamps[possible], charge[possible]
         if not (len(stamps) or course.ended):
             return []
@@ -579,7 +579,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def charge(self) -> Uncertain:
         """State of charge now, 0..1, its value NaN while unknown."""
         charge = self._waiting.sorted(_Kind.BATTERY).values[2]
-        told = charge[_is_charge(charge)]
+        told = charge[(charge >= 0.0) & (charge <= 1.0)]
         if len(told):
             return Uncertain(float(told[-1]), self.gauge.rounding)
         return self.gauge.charge(self._newest_ns, self.lifetime().net)
@@ -671,11 +671,6 @@ class EnergyAccount(Saveable[SavedAccount]):
             self.battery.take(saved.battery)
         self._begin(saved.before_reset, saved.correction)
         self._charge_before = saved.charge_before
-
-
-def _is_charge(charge: np.ndarray) -> np.ndarray:
-    """True for states of charge that are told and possible, shape (n,)."""
-    return (charge >= 0.0) & (charge <= 1.0)
 
 
 def _is_possible(power: Any, sigma: Any, most: float) -> Any:

@@ -24,13 +24,7 @@ from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.energy.charge import UNKNOWN, ChargeGauge, SavedGauge, Uncertain
 from evpinn_ros.core.energy.forecast import EMPTY, Forecast
 from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral
-from evpinn_ros.core.signals.readings import (
-    MAX_CURRENT,
-    MAX_VOLTAGE,
-    MIN_VOLTAGE,
-    NANOSECONDS,
-    BatteryReading,
-)
+from evpinn_ros.core.signals.readings import MAX_CURRENT, MAX_VOLTAGE, MIN_VOLTAGE, NANOSECONDS
 
 LEARN_EVERY = 1.0  # s
 # 1-sigma of the error of the voltage, V: 1.5 V that last for a minute.
@@ -106,11 +100,6 @@ class BatteryModel(Saveable[SavedBattery]):
     def known(self) -> bool:
         """True if enough was learned to forecast with."""
         return self.samples >= LEAST_SAMPLES and self._gauge.capacity.known
-
-    def add_reading(self, reading: BatteryReading) -> None:
-        """Learn from one reading: the scalar twin of `extend`."""
-        values = reading.voltage, reading.current, reading.state_of_charge
-        self.extend(np.array([reading.stamp_ns]), *(np.array([value]) for value in values))
 
     def extend(
         self, stamps: np.ndarray, voltage: np.ndarray, current: np.ndarray, charge: np.ndarray

@@ -402,9 +402,9 @@ def test_the_battery_is_learned_from_what_the_account_is_told():
     counted, alone = account(), BatteryModel(CAPACITY)
     for second in range(100):
         stamp = START + second * 1_000_000_000
-        reading = BatteryReading(stamp, 360.0 - second % 7, second % 5 - 20.0, 0.9)
-        alone.add_reading(reading)
-        counted.add_reading(reading)
+        values = 360.0 - second % 7, second % 5 - 20.0, 0.9
+        alone.extend(np.array([stamp]), *np.array([values]).T)
+        counted.add_reading(BatteryReading(stamp, *values))
         counted.count()
     assert counted.battery.samples == alone.samples > 50
     assert counted.battery.export() == alone.export()

@@ -7,7 +7,7 @@ from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.energy.battery_model import BatteryModel
 from evpinn_ros.core.energy.charge import UNKNOWN, Uncertain
 from evpinn_ros.core.energy.forecast import Forecast
-from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
+from evpinn_ros.core.signals.readings import NANOSECONDS
 
 START = 1_700_000_000_000_000_000
 FULL = 62 * 3600.0  # A s
@@ -25,14 +25,16 @@ def current_for(power, charge):
     return (level - math.sqrt(level**2 - 4 * RESISTANCE * power)) / (2 * RESISTANCE)
 
 
-def drive(to, seconds, charge=0.95, begin=0, every=1):
+def drive(model, seconds, charge=0.95, begin=0, every=1):
     """A battery with these constants, at 10 Hz over `every`; gives its charge at the end."""
+    rows = []
     for tick in range(begin * 10, (begin + seconds) * 10):
         current = 20.0 + 45.0 * math.sin(tick / 37) + 30.0 * math.sin(tick / 300)
         charge -= current * 0.1 / FULL
         if tick % every == 0:
             stamp = START + tick * NANOSECONDS // 10
-            to(BatteryReading(stamp, voltage(charge, current), -current, charge))
+            rows.append((stamp, voltage(charge, current), -current, charge))
+    model.extend(*map(np.array, zip(*rows, strict=True)))
     return charge
 
 
@@ -45,7 +47,7 @@ def plan(power, seconds):
 @pytest.fixture(scope="module")
 def learned():
     model = BatteryModel(CAPACITY)
-    charge = drive(model.add_reading, 5000, every=5)
+    charge = drive(model, 5000, every=5)
     return model, charge
 
 
@@ -83,9 +85,9 @@ def test_a_percent_takes_less_energy_of_an_empty_battery_than_of_a_full_one(lear
 @pytest.mark.slow
 def test_without_a_capacity_in_the_vehicle_file_it_waits_for_one():
     model = BatteryModel(math.nan)
-    drive(model.add_reading, 100)
+    drive(model, 100)
     assert not model.known
-    drive(model.add_reading, 4000, begin=200, every=5)
+    drive(model, 4000, begin=200, every=5)
     assert model.saved().full_charge.capacity.value == pytest.approx(FULL, rel=0.02)
     assert model.known
 
@@ -103,10 +105,10 @@ def test_more_power_than_there_is_and_an_empty_battery_give_finite_ends(learned)
 def test_readings_of_no_battery_change_nothing(wrong):
     model, sound = BatteryModel(CAPACITY), BatteryModel(CAPACITY)
     for to in (model, sound):
-        charge = drive(to.add_reading, 30)
-    model.add_reading(BatteryReading(START + 29_950_000_000, *wrong, charge))
+        charge = drive(to, 30)
+    model.extend(np.array([START + 29_950_000_000]), *np.array([[*wrong, charge]]).T)
     for to in (model, sound):
-        drive(to.add_reading, 30, charge, begin=30)
+        drive(to, 30, charge, begin=30)
     assert model.export() == sound.export()
 
 
@@ -120,7 +122,7 @@ def test_readings_of_no_battery_change_nothing(wrong):
 )
 def test_a_saved_model_of_no_battery_is_refused_and_changes_nothing(wrong):
     model = BatteryModel(CAPACITY)
-    drive(model.add_reading, 100)
+    drive(model, 100)
     before = model.export()
     with pytest.raises(InputError, match="saved"):
         model.restore({**before, **wrong})
