@@ -60,10 +60,6 @@ class Chain:
         guard = self._guard.dropped + Counter(stamp_leaps=self._guard.held)
         return guard + self.account.refused
 
-    def add_reading(self, reading: Reading) -> Iterator[ChainOutput]:
-        """Take one reading; yields the outputs of the estimator, then those of the account."""
-        return self.add_readings([reading])
-
     def add_readings(self, readings: Iterable[Reading]) -> Iterator[ChainOutput]:
         """Take readings in order of arrival; yields all outputs in order."""
         return self.take(self.follow(Block.of(readings)))

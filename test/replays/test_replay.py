@@ -157,9 +157,9 @@ def test_a_stray_stamp_stops_nothing(readings, vehicle):
     outputs = []
     for index, reading in enumerate(readings[:400]):
         for taken in [*strays[index // 100 : index // 100 + 1][: index % 100 == 99], reading]:
-            outputs += used.add_reading(taken)
+            outputs += used.add_readings([taken])
     fresh = chain(vehicle)
-    in_order = [output for reading in readings[:400] for output in fresh.add_reading(reading)]
+    in_order = [output for reading in readings[:400] for output in fresh.add_readings([reading])]
     assert repr(outputs) == repr(in_order)
     assert used.dropped == {"stamp_leaps": 4}
 

@@ -495,11 +495,6 @@ class EnergyMeter(Saveable[SavedMeter]):
         """True if the battery was measured within its timeout."""
         return not self.course.until_now(self.course.end)[1][0]
 
-    @property
-    def state(self) -> EnergyState:
-        """The state at the newest stamp."""
-        return next(self.course.states(self.course.end).rows())
-
     def saved(self) -> SavedMeter:
         """State to save, with the present dropout."""
         course, end = self.course, self.course.end

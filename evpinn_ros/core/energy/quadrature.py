@@ -160,11 +160,6 @@ class EnergyIntegral:
         self._recent = np.empty(0)
 
     @property
-    def energy(self) -> float:
-        """Net energy, J: drawn minus regenerated."""
-        return self.total.drawn - self.total.regenerated
-
-    @property
     def dropped(self) -> int:
         """Samples that were not used."""
         return self.total.out_of_order + self.total.not_finite

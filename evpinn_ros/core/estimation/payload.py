@@ -14,7 +14,7 @@ from evpinn_ros.common.saved_fields import Range
 from evpinn_ros.core.estimation.posterior import CarState
 from evpinn_ros.core.estimation.states import State
 from evpinn_ros.core.estimation.terms import Equation
-from evpinn_ros.core.signals.detector import ANOTHER_LOAD, PAYLOAD
+from evpinn_ros.core.signals.detector import ANOTHER_LOAD
 
 Stamp: TypeAlias = Annotated[int, Range(0, 2**62)]  # ns; to the year 2116
 Mass: TypeAlias = Annotated[float, Range(-1e6, 1e6)]  # kg
@@ -49,11 +49,6 @@ class Payload:
     before: Load | None = None
     begin_ns: Stamp | None = None
     change: PayloadChange | None = None
-
-    @property
-    def detected(self) -> str | None:
-        """`PAYLOAD` or None."""
-        return PAYLOAD if self.change is not None else None
 
     def after(self, state: CarState, equation: Equation, begin_ns: int) -> Payload:
         """The payload after one more interval of this drive, which begins at a stamp."""

@@ -1,9 +1,9 @@
-"""Detectors of faults: one protocol, one hysteresis, and one table of them all.
+"""Detectors of faults: one hysteresis, and one table of them all.
 
 A detector is a value: `after` gives the detector after one more observation, `detected` names
-the fault that it sees now. It follows one number, its evidence, and leaves the verdict to a row of
-the table: above `on` there is the fault, at or below `off` there is none, and in between the
-verdict stays. Less than `least` of what the evidence rests on changes no verdict.
+the fault that it sees now, or is None. It follows one number, its evidence, and leaves the verdict
+to a row of the table: above `on` there is the fault, at or below `off` there is none, and in
+between the verdict stays. Less than `least` of what the evidence rests on changes no verdict.
 `docs/reference/detectors.md` is made from the table.
 
 Checks of single values are no detectors, because they have no memory: ranges (`readings`), leaps
@@ -15,20 +15,7 @@ of speed (`kinematics.SpeedTrack.leaps`) and of altitude (`height`). Nor are jum
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, ParamSpec, Protocol
-
-Seen = ParamSpec("Seen")
-
-
-class Detector(Protocol[Seen]):
-    """Observer of one kind of fault of a signal, or of a change of the car."""
-
-    @property
-    def detected(self) -> str | None:
-        """Name of the fault that is seen now, or None."""
-
-    def after(self, *seen: Seen.args, **named: Seen.kwargs) -> Detector[Seen]:
-        """The detector after one more observation."""
+from typing import NamedTuple
 
 
 class Hysteresis(NamedTuple):

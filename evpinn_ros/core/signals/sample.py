@@ -135,10 +135,6 @@ class Newest(NamedTuple):
     told_ns: np.ndarray
     told_power: np.ndarray
 
-    def where(self, chosen: np.ndarray | slice) -> Newest:
-        """The rows of a mask or slice."""
-        return Newest(self.samples.where(chosen), *(column[chosen] for column in self[1:]))
-
 
 class Events(NamedTuple):
     """What a block completes: all of it up to the stamp of its newest speed.

@@ -29,6 +29,11 @@ class Fed(EnergyMeter):
 
     last_dropout = None
 
+    @property
+    def state(self):
+        """The state at the newest stamp."""
+        return next(self.course.states(self.course.end).rows())
+
     def add_measured(self, stamp_ns, power, sigma=math.nan):
         row = (stamp_ns, power, sigma, math.nan, math.nan)
         self.add(NO_POWERS, powers_at(*(np.array([value]) for value in row)))

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from evpinn_ros.core.estimation.payload import Payload
-from evpinn_ros.core.signals.detector import AGAINST_INERTIA, TABLE, Detector
+from evpinn_ros.core.signals.detector import AGAINST_INERTIA, TABLE
 from evpinn_ros.core.signals.height import AltitudeDetector
 from evpinn_ros.core.signals.sign_detectors import ChargeDetector, GradeDetector, SignDetector
 from evpinn_ros.core.signals.stuck import StuckDetector
@@ -32,9 +31,9 @@ def test_a_limit_is_none_of_its_own():
     "detector",
     [
         *(AltitudeDetector(), ChargeDetector(), GradeDetector()),
-        *(Payload(), SignDetector(), StuckDetector().verdict),
+        *(SignDetector(), StuckDetector().verdict),
     ],
 )
-def test_of_nothing_nothing_is_learned(detector: Detector):
+def test_of_nothing_nothing_is_learned(detector):
     """An altitude alone counts as stuck until it moves."""
     assert detector.detected == ("altitude_stuck" if detector == AltitudeDetector() else None)
