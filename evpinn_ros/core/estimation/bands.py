@@ -15,7 +15,6 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from evpinn_ros.common.saved_fields import Range
-from evpinn_ros.core.estimation.calibration import MOST_SUM
 
 GROWTHS = np.array([0.0004, 0.004, 0.04])  # m^2 of unseen height per m: flat, hilly, mountains
 HILLS_KEPT = 0.98  # share of their evidence that one rehearsal passes to the next
@@ -28,6 +27,7 @@ CASES_KEPT = 40.0  # remembered
 LEAST_HEIGHTS_METRES = 10e3  # m of known heights from which on `Hills` counts
 HILLS_MEMORY_METRES = 300e3  # m of road over which earlier road is forgotten to a third
 KEPT = 1.0 - 1.0 / CASES_KEPT  # share of the sums of `TrackRecord` kept from drive to drive
+MOST_SUM = 1e15  # of squares and products over a car's life
 MOST_COUNTED = 999  # drives; the sum of `KEPT` determines no larger number
 
 

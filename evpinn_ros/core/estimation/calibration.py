@@ -23,7 +23,6 @@ RATE = 0.02  # of the logarithm: 0.9 of it up after a miss, 0.1 of it down other
 RATIO_RANGE = (0.05, 20.0)
 RECENT = 600  # samples over which coverage is reported, a minute at 10 Hz
 MOST_WAITING = 2000  # predictions
-MOST_SUM = 1e15  # of squares and products over a car's life
 
 
 class SavedBand(NamedTuple):

@@ -142,19 +142,16 @@ class HybridLearner(Saveable[SavedHybrid]):
         samples = joined_samples((span.newest, span.smoothed, span.measured))
         power, sigma = self._car_power(samples)
         rows = trim_rows(samples)
-        kinds = slice(count), slice(count, count + passed), slice(count + passed, None)
-        newest, smoothed, measured = kinds
+        newest, smoothed = slice(count), slice(count, count + passed)
+        predicted, measured = slice(count + passed), slice(count + passed, None)
         learned = self._learnable(span.measured, span.power)
         learned_ns = np.concatenate(((self._trim_ns,), span.measured.stamp_ns[learned]))
         residuals = (span.power - power[measured])[learned]
         trim = self._trim.learned(rows[measured][learned], residuals, _seconds(learned_ns))
         self._trim, self._trim_ns = trim.last(), int(learned_ns[-1])
-        learned_of = np.concatenate(((0,), learned.cumsum()))  # of the first so many
-        index = np.concatenate((
-            learned_of[span.newest_learned],
-            learned_of[span.smoothed_learned],
-        ))  # fmt: skip
-        predicted = slice(count + passed)
+        # Of the measured samples before each prediction, how many the trim learned from.
+        before = np.concatenate((span.newest_learned, span.smoothed_learned))
+        index = np.concatenate(((0,), learned.cumsum()))[before]
         ages = np.maximum(samples.stamp_ns[predicted] - learned_ns[index], 0) / NANOSECONDS
         given, unsure = trim.predict(rows[predicted], ages, index)
         powers = self._possible(power[predicted] + given)

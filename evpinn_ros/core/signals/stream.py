@@ -289,6 +289,7 @@ class SampleStream:
             return NO_MEASURED
         stamps = smoothed.stamp_ns
         after = self.battery.first_after(waiting.stamp_ns)
+        # A sample is known once a smoothed moment at or after that reading is complete.
         place = stamps.searchsorted(after)
         passed = place < len(stamps)
         patience_ns = max(FORGOTTEN_NS, int(self.battery.gap_ns()))
