@@ -27,6 +27,7 @@ from evpinn_ros.core.energy.plan import (
     sums,
 )
 from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of, to_floats
+from evpinn_ros.logs.plans.way import possible_heights
 from evpinn_ros.logs.quantities import ANGLES, score, unit_of, words_of
 from evpinn_ros.logs.survey import data_rows, find_head
 from evpinn_ros.logs.table_drive import LEVEL
@@ -35,6 +36,7 @@ from evpinn_ros.logs.values import in_fractions
 
 COLUMNS = "columns t_s and speed_mps, or those of legs, length_m and duration_s or speed_kmh"
 FEW = 8  # names listed in an error
+LEAST_RISING = 7  # legs, whose lengths rise by chance once in 5040 plans
 NEEDED = ("t_s", "speed_mps")
 BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast also has a distance
 Kinds: TypeAlias = Mapping[str, tuple[tuple[str, ...], str]]
@@ -85,11 +87,23 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
     if columns := leg_columns(names):
         warn_of_unused(names, (name for name, _ in columns.values()))
         legs = _in_si(columns, given)
+        _check_each(legs)
         if "end" in legs and "start" not in legs:
             legs["start"] = np.concatenate(([np.nan], legs["end"][:-1]))
         return legs_of_trip(*_leg_numbers(legs))
     there = ", ".join(names[:FEW]) or "none"
     raise InputError(f"a plan has the {COLUMNS}; there are: {there}")
+
+
+def _check_each(legs: Mapping[str, np.ndarray]) -> None:
+    """Refuse lengths or durations that rise from row to row: they are counted from the start."""
+    for what in ("length", "duration"):
+        column = legs.get(what, np.empty(0))
+        if len(column) >= LEAST_RISING and (np.diff(column) > 0.0).all():
+            raise PlanError(
+                f"each {what} is larger than the one before, as if counted from the start; a leg "
+                "has its own"
+            )
 
 
 def edges_of_columns(given: Mapping[str, Any]) -> Legs:
@@ -202,6 +216,9 @@ def _in_si(
         numbers["grade"] *= _grade_unit(columns["grade"][0], numbers["grade"])
     if "incline" in numbers:
         numbers["grade"] = np.tan(numbers.pop("incline"))
+    for what in numbers.keys() & {"elevation", "start", "end"}:
+        here = numbers[what]
+        refuse(~np.isnan(here) & ~possible_heights(here), "no road is at this height", "row")
     heights = numbers.get("elevation", numbers.get("end", np.empty(0)))
     if len(heights) > 1 and np.ptp(heights) == 0.0:
         warnings.warn(LEVEL, stacklevel=4)

@@ -18,6 +18,7 @@ from evpinn_ros.core.energy.plan import (
     sums,
 )
 from evpinn_ros.core.signals.height import AltitudeDetector
+from evpinn_ros.core.signals.readings import RANGES, AltitudeReading
 from evpinn_ros.logs.table_drive import LEVEL
 
 FARTHEST = MAX_SPEED * LONGEST  # m, longest possible trip
@@ -44,26 +45,32 @@ class Heights(NamedTuple):
     along: np.ndarray
     height: np.ndarray
 
+    @property
+    def known(self) -> np.ndarray:
+        """True where the height is of a road: marks for voids are none, nor are zeros alone."""
+        on_earth = possible_heights(self.height)
+        return np.asarray(on_earth & self.height[on_earth].any())
+
     def climbs(self, distance: np.ndarray) -> np.ndarray | None:
         """Smoothed climb, m, from each of n distances to the next; NaN or None if unknown."""
-        finite = np.isfinite(self.height)
-        if finite.sum() < 2:
+        known = self.known
+        if known.sum() < 2:
             return None
-        along = np.clip(self.along[finite], 0.0, FARTHEST)
+        along = np.clip(self.along[known], 0.0, FARTHEST)
         middle = (distance[1:] + distance[:-1]) / 2
-        height = plausible_heights(along, self.height[finite])
+        height = plausible_heights(along, self.height[known])
         places = np.append(np.arange(0.0, distance[-1], HEIGHT_STEP), distance[-1])
         climb = np.diff(np.interp(distance, places, road_height(along, height, places)))
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
 
     def warn(self) -> None:
         """Warn of what the heights leave open."""
-        finite = np.isfinite(self.height)
-        count, known = len(finite), int(finite.sum())
-        if known > 1 and np.ptp(self.height[finite]) == 0.0:
+        known = self.known
+        count, unknown = len(known), int((~known).sum())
+        if known.sum() > 1 and np.ptp(self.height[known]) == 0.0:
             warnings.warn(LEVEL, stacklevel=3)
-        if 0 < known < count:
-            text = f"elevation: unknown at {count - known} of {count} places"
+        if 0 < unknown < count:
+            text = f"elevation: unknown at {unknown} of {count} places"
             warnings.warn(f"{text}; interpolated between the others", stacklevel=3)
 
     def borders(self, most: int) -> np.ndarray:
@@ -71,14 +78,20 @@ class Heights(NamedTuple):
 
         In order; empty if no heights are known.
         """
-        finite = np.isfinite(self.height)
-        if finite.sum() < 2:
+        known = self.known
+        if known.sum() < 2:
             return np.empty(0)
-        ends: np.ndarray = self.along[finite][[0, -1]]
+        ends: np.ndarray = self.along[known][[0, -1]]
         whole = float(self.along[-1])
         if not whole < most * HEIGHT_STEP:
             return ends
         return np.asarray(np.union1d(np.arange(HEIGHT_STEP, whole, HEIGHT_STEP), ends))
+
+
+def possible_heights(height: np.ndarray) -> np.ndarray:
+    """True where a road can be so high, m; maps mark voids by -9999 or -32768."""
+    (bounds,) = RANGES[AltitudeReading]
+    return np.asarray((height >= bounds.least) & (height <= bounds.most))
 
 
 def plausible_heights(along: np.ndarray, height: np.ndarray) -> np.ndarray:

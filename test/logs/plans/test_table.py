@@ -244,6 +244,10 @@ def test_a_leg_without_length_is_a_stop(read):
             "length_m,duration_s\n900,sixty\n",
             "duration_s holds what is no number, 'sixty' in row 1",
         ),
+        ("length_m,speed_kmh\n" + "".join(f"{i}000,60\n" for i in range(1, 9)), "from the start"),
+        ("length_m,duration_s\n" + "".join(f"900,{60 * i}\n" for i in range(8)), "from the start"),
+        ("t_s,speed_mps,elevation_m\n0,0,5\n9,9,-9999\n20,9,6\n", "no road is at .* row 2"),
+        ("length_m,speed_kmh,elevation_m\n900,50,5\n900,50,32767\n", "no road is at .* row 2"),
         ("length_m,duration_s\n" + 50_001 * "9,1\n", "50001 points are more than 50000"),
     ],
 )

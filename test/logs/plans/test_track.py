@@ -117,7 +117,13 @@ def test_places_with_times_are_legs_from_each_to_the_next(read, track):
 
 @pytest.mark.parametrize(
     "track",
-    [gpx(heights=None), gpx(None, None, 5 * [10.0]), geojson(heights=None, coordTimes=CLOCK)],
+    [
+        gpx(heights=None),
+        gpx(heights=5 * [0.0]),
+        gpx(heights=5 * [-32768]),
+        gpx(None, None, 5 * [10.0]),
+        geojson(heights=None, coordTimes=CLOCK),
+    ],
 )
 def test_places_without_heights_are_no_level_road(read, track):
     legs = read(track)
@@ -181,6 +187,12 @@ def test_points_without_a_time_lie_on_the_way_to_the_next(read):
     legs = read(gpx([None, CLOCK[1], None, None, CLOCK[4]]))
     assert legs.length.sum() == pytest.approx(500.0, abs=0.01)
     assert legs.length / legs.duration == pytest.approx(500.0 / 85.0)
+
+
+@pytest.mark.parametrize("void", [-9999, -32768, 32767])
+def test_a_void_of_the_map_hides_no_climb(read, void):
+    legs = read(gpx(heights=[500.0, void, void, 509.0, 509.0]))
+    assert legs.climb.sum() == pytest.approx(9.0, abs=1.0) and legs.height_known.all()
 
 
 def test_a_height_that_leaps_adds_no_hill(read):
