@@ -2,7 +2,8 @@
 
 Four kinds are refused: what no sensor of a road vehicle reads (`readings.RANGES`), what this car
 cannot do (`CarLimits`), values that a bus sends in place of a measurement (`SENTINELS`), and
-speeds that leap. A speed that leaps counts again once a second reading confirms it.
+speeds that leap. A speed that leaps counts again once a second reading confirms it, which the
+same sentinel again does not.
 """
 
 from __future__ import annotations
@@ -130,15 +131,17 @@ class Admission:
     def _why_not_speed(self, stamp_ns: int, speed: float) -> str | None:
         leapt, self._leapt = self._leapt, None
         now = stamp_ns, speed
-        confirmed = leapt is not None and not _leaps(*leapt, *now)
-        if self._speed is None or confirmed or not _leaps(*self._speed, *now):
-            self._speed = stamp_ns, speed
+        again = leapt is not None and speed == leapt[1]
+        if not again and (self._speed is None or not _leaps(*self._speed, *now)):
+            self._speed = now
             return None
-        self._leapt = stamp_ns, speed
-        for unit in SPEED_UNITS:
-            if (name := _sentinel(speed * unit)) is not None:
-                return f"speed_sentinel_{name}"
-        return "speed_leaps"
+        names = (_sentinel(speed * unit) for unit in SPEED_UNITS)
+        name = next((name for name in names if name is not None), None)
+        if name is None and leapt is not None and not _leaps(*leapt, *now):
+            self._speed = now
+            return None
+        self._leapt = now
+        return "speed_leaps" if name is None else f"speed_sentinel_{name}"
 
     def _why_not_battery(self, voltage: float, current: float) -> str | None:
         if not self.limits.allow(voltage, current):

@@ -113,6 +113,14 @@ def test_a_speed_that_leaps_and_returns_is_refused(wrong, reason):
     assert refused == {reason: 1} and [reading.speed for reading in kept] == [25.0] * 9
 
 
+@pytest.mark.parametrize("held", [2, 30])
+@pytest.mark.parametrize("wrong", [255 / 3.6, 163.83 / 3.6, 255 * 0.44704])
+def test_a_sentinel_does_not_confirm_itself_however_long_it_is_held(wrong, held):
+    kept, refused = admitted(speeds([8.0] * 3 + [wrong] * held + [12.0] * 3))
+    assert [reading.speed for reading in kept] == [8.0] * 3 + [12.0] * 3
+    assert sum(refused.values()) == held
+
+
 def test_a_speed_that_leaps_and_stays_is_confirmed_by_the_second_reading():
     kept, refused = admitted(speeds([0.0, 0.0, 30.0, 31.0, 32.0]))
     assert [reading.speed for reading in kept] == [0.0, 0.0, 31.0, 32.0]
