@@ -36,6 +36,7 @@ LIGHT_BELOW, HARD_ON_LIGHT = 60.0, 25.0  # V, and A of such a battery, for the s
 LEAST_TURNS, TURNS = 50, 100  # readings that show whether two batteries alternate
 ONE_SIDED, TURN = 0.6, 0.01  # at most 0.25 by chance in given logs; share of the value
 BEYOND_NEXT = 0.6  # share of the change over two steps: half of it where rows repeat
+LONGEST_HELD = 60.0  # s for which a slow poll or an app may repeat a voltage
 CONSTANT = 1e-3  # share of the voltage
 
 
@@ -216,7 +217,7 @@ def clipped(drawn: Signal, speed: Signal, of: str, unit: tuple[float, str]) -> I
 
 
 def constant_voltage(voltage: Signal, current: Signal) -> Iterator[str]:
-    """Sentence on a voltage, V, that does not drop under a large current, A."""
+    """Sentence on a voltage, V, that never drops, or not for long, under a large current, A."""
     volts, amperes = voltage.known, current.known
     if min(volts.size, amperes.size) < LEAST_EVENTS:
         return
@@ -227,6 +228,19 @@ def constant_voltage(voltage: Signal, current: Signal) -> Iterator[str]:
         yield (
             f"the voltage is always {middle:.4g} V while the current changes by {swing:.0f} A, so "
             "it is not measured but assumed to be a nominal one: energies are as far off as it is"
+        )
+        return
+    time, value = voltage.points()
+    edges = np.flatnonzero(np.diff(value, prepend=np.nan, append=np.nan) != 0.0)
+    longest = int(np.diff(edges).argmax())
+    first, last = int(edges[longest]), int(edges[longest + 1]) - 1
+    held = current.value[(current.time >= time[first]) & (current.time <= time[last])]
+    swing = float(np.ptp(held[np.isfinite(held)])) if np.isfinite(held).any() else 0.0
+    if (last - first) * float(np.median(np.diff(time))) >= LONGEST_HELD and swing > least:
+        yield (
+            f"the voltage stands still at {value[first]:.4g} V from {time[first]:.0f} s on for "
+            f"{time[last] - time[first]:.0f} s while the current changes by {swing:.0f} A, so it "
+            "is not measured there: energies may be off by a few percent"
         )
 
 

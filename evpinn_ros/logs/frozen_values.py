@@ -28,7 +28,7 @@ from evpinn_ros.logs.signal import (
     speeds_up_and_down,
     steps_of_places,
 )
-from evpinn_ros.logs.speed_unit import road_of_odometer
+from evpinn_ros.logs.speed_unit import road_of_odometer, road_of_places
 from evpinn_ros.logs.unmeasured import (
     LEAST_REPEATS,
     Stand,
@@ -58,6 +58,7 @@ FINER = 5.0  # least change of a current, in resolutions
 WRONG_WAY, APART = 0.15, 50.0  # share of a distance, and m between positions
 LEAST_WAY = 200.0  # m: positions drift while a car stands
 OTHER_WAY = 0.3  # logarithm of a ratio of distances that no odometer error explains
+OTHER_UNIT = 0.4  # the same of positions, which bends bring nearer; mph and km/h are 0.48 apart
 SLOWEST_UNIT = 1.0 / 3.6  # m/s: of km/h; knots and mph are larger
 MOST_ASKED = 1000  # values used to find a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and their share of the moments of most power
@@ -76,6 +77,7 @@ class Standing:
         self._stands: dict[str, list[tuple[Stand, str]]] = {}
         self._readings, self._zeros = Counter[str](), Counter[str]()
         self._ways: list[float] = []  # distance by the odometer over that by the speed
+        self._roads: list[float] = []  # the same of the positions
         self._steps = self._leaps = 0
         self._lost: dict[str, list[Stand]] = {}
 
@@ -120,8 +122,12 @@ class Standing:
             values[name][rows[inside]] = np.nan
             self._dropped[f"{name}_stands_still"] += int(inside.sum())
             self._stands.setdefault(name, []).append((stand, why))
-        way = road_of_odometer(_signals(time, values, rows))
-        self._ways += [way] if way > 0.0 else []
+        signals = _signals(time, values, rows)
+        for ways, way in (
+            (self._ways, road_of_odometer(signals)),
+            (self._roads, road_of_places(signals)),
+        ):
+            ways += [way] if way > 0.0 else []
 
     def _said(self) -> Iterator[str]:
         way = float(np.median(self._ways)) if self._ways else 1.0
@@ -129,6 +135,12 @@ class Standing:
             yield (
                 f"the odometer counts {way:.2g} times the way that the speed shows, so the unit "
                 "of one is probably wrong; --column speed=NAME:UNIT or odometer=NAME:UNIT sets it"
+            )
+        road = float(np.median(self._roads)) if self._roads else 1.0
+        if abs(np.log(road)) > OTHER_UNIT:
+            yield (
+                f"the positions are {road:.2g} times as far apart as the speed shows, so its unit "
+                "is probably wrong; --column speed=NAME:UNIT sets it"
             )
         if self._leaps > max(LEAST_LEAPS, MOST_LEAPS * self._steps):
             yield (

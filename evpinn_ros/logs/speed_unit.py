@@ -66,7 +66,7 @@ def with_speed_unit(
 
 def _decided(speed: Column, columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> Column:
     signal, odometer = cells["speed"], columns.get("odometer")
-    if (text := _nearest(_road_of_places(cells), SPEEDS)) is not None:
+    if (text := _nearest(road_of_places(cells), SPEEDS)) is not None:
         return speed.in_unit(text, "by the positions")
     road = road_of_odometer(cells)
     if odometer is not None and odometer.has_unit:
@@ -174,7 +174,7 @@ def road_of_odometer(cells: Mapping[str, Signal]) -> float:
     return float(np.quantile(ratios, 0.25)) if ratios.size >= LEAST_SEGMENTS else np.nan
 
 
-def _road_of_places(cells: Mapping[str, Signal]) -> float:
+def road_of_places(cells: Mapping[str, Signal]) -> float:
     """Distance between positions, m, over the speed's, or NaN; high quantile, as roads bend."""
     if not cells.keys() >= set(PLACES) or cells["speed"].points()[0].size < LEAST_EVENTS:
         return np.nan

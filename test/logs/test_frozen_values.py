@@ -288,15 +288,20 @@ def test_the_way_shows_that_a_speed_stands_still(tmp_path, way, value):
     assert len(stamps) == pytest.approx(DRIVE.time.size - (0 if is_less else END - BEGIN), abs=2)
 
 
-def test_an_odometer_that_contradicts_the_speed_is_told(tmp_path):
+@pytest.mark.parametrize("way", ["odometer", "places"])
+@pytest.mark.parametrize(("unit", "times"), [(0.44704, "1.6"), (1 / 3.6, "1"), (0.1, "0.36")])
+def test_an_odometer_or_places_that_contradict_the_speed_are_told(tmp_path, way, unit, times):
     def line(t, v, u, i, far, _):
-        return f"{t:.0f},{v / 0.44704:.2f},{u:.1f},{i:.1f},{far / 1000:.2f}"
+        place = f"{far / 1000:.2f}" if way == "odometer" else f"{(far - 28e6) / 111_195:.6f},7.1"
+        return f"{t:.0f},{v / unit:.2f},{u:.1f},{i:.1f},{place}"
 
+    names = "Odometer (km)" if way == "odometer" else "Latitude,Longitude"
     source = opened(
-        tmp_path, table("time,Speed (km/h),Voltage (V),Current (A),Odometer (km)", DRIVE, line)
+        tmp_path, table(f"time,Speed (km/h),Voltage (V),Current (A),{names}", DRIVE, line)
     )
-    assert measured(source)[0] < DRIVE.distance
-    assert "the odometer counts 1.6 times the way that the speed shows" in " ".join(source.notes)
+    list(source.readings())
+    said = {"odometer": "the odometer counts", "places": "the positions are"}[way]
+    assert (f"{said} {times} times" in " ".join(source.notes)) == (times != "1")
 
 
 STEADY: dict[str, Callable[[], Drive]] = {

@@ -86,6 +86,15 @@ def test_a_voltage_that_a_large_current_does_not_move_is_doubted(tmp_path, kind,
     assert f"the voltage is always {volts:.0f} V while" in doubts(kind(drive, tmp_path))
 
 
+@pytest.mark.parametrize("kind", KINDS[1:])
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 200.0), (300.0, 400.0), (500.0, 1e9)])
+def test_a_voltage_that_stands_still_for_long_is_doubted(tmp_path, kind, begin, end):
+    still = (DRIVE.time >= begin) & (DRIVE.time < end)
+    voltage = np.where(still, DRIVE.voltage[still][0], DRIVE.voltage)
+    told = doubts(kind(replace(DRIVE, voltage=voltage), tmp_path))
+    assert "the voltage stands still at " in told and f" from {begin:.0f} s on" in told
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("lag", [-2.0, 0.0, 1.0, 2.0])
 @pytest.mark.parametrize("seed", [0, 1])
