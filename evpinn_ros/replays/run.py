@@ -18,6 +18,7 @@ from evpinn_ros.bags.types import new_message
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.estimation.breakdown import Breakdown
+from evpinn_ros.core.estimation.estimator import Mode
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading
 from evpinn_ros.core.signals.time_jump import Jump
@@ -33,6 +34,7 @@ from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start without scores
 BLOCK = 20_000  # readings in a block of the chain
+PAPER_BLOCK = 200  # in `mode: paper`, which takes a second for ten of driving
 PROGRESS_STEP = 1.0  # s of the drive between reports of progress
 
 Progress = Callable[[float], None]  # takes the replayed s of the drive
@@ -101,7 +103,8 @@ def replay(
     history.add_detections(0, chain.estimator.detections())
     not_recorded: Counter[str] = Counter()
     started = time.perf_counter()
-    size = BLOCK if options.rate is None else 1
+    size = PAPER_BLOCK if mode == Mode.PAPER.value else BLOCK
+    size = size if options.rate is None else 1
     parts = (part for block in source.blocks() for part in block.parts(size))
     blocks = takewhile(lambda _: not stopped(), span(parts, options.start, options.duration))
     pace = _Pace(options.rate, progress)

@@ -63,6 +63,13 @@ def test_same_readings_give_the_same_bytes(readings, vehicle, tmp_path):
     assert metrics[0] == metrics[1]
 
 
+def test_mode_paper_which_is_slow_reports_its_progress_all_along(once, vehicle, tmp_path):
+    source, options, moments = Recorded(once[0], tmp_path), ReplayOptions(), [0.0]
+    named = {"vehicle": vehicle.key, "mode": Mode.PAPER.value}  # the chain is a quick one
+    replay(source, chain(vehicle), options, **named, progress=moments.append)
+    assert max(np.diff([*moments, 45.0])) < 15.0
+
+
 def test_a_drive_that_starts_over_is_reset_where_the_policy_says_so(once, vehicle, tmp_path):
     """Its second turn gives the numbers of the first; its bag is read in the order it had."""
     (once, single, _), folder, rule = once, tmp_path / "bag", JumpRule(JumpPolicy.RESET)
