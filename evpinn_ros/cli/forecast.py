@@ -28,6 +28,7 @@ from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 MORE = "kWh more than the first"
 SHOWN_ROAD = 100e3  # m, if the range of the car is unknown
+CHARGE = 7  # column of the charge, which no plan may have
 WIDE = 110  # characters of a table that compares
 ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
 
@@ -156,6 +157,9 @@ def forecast(
     texts = [
         [name, *_texts(row, shown)][: len(columns)] for name, row in zip(names, rows, strict=True)
     ]
+    if not any(math.isfinite(row["charge_pct"]) for row in rows):
+        columns = (*columns[:CHARGE], *columns[CHARGE + 1 :])
+        texts = [[*cells[:CHARGE], *cells[CHARGE + 1 :]] for cells in texts]
     table = PlainTable("Forecast", columns, texts)
     show(table, at_least=WIDE if len(rows) > 1 else 0)
     if lasts and lasts[0] is not None:

@@ -110,8 +110,7 @@ def _start(recording: Contents, begin_ns: int) -> str:
 
 def _drive_lines(drive: DataCoverage, begin_ns: int, units: Units) -> Iterator[str]:
     for kind, flow in drive.flows.items():
-        count, rate, gap = _flow(flow)
-        yield f"  {kind}: {count} readings, {rate} a second, longest gap {gap}"
+        yield f"  {kind}: {flow.count} readings, {_pace(flow)}longest gap {flow.longest_gap:.2f} s"
     voltage = "" if math.isnan(drive.voltage) else f"; mean voltage {drive.voltage:.0f} V"
     first, last = drive.charge
     charge = "" if math.isnan(first) else f"; state of charge {first:.1%} to {last:.1%}"
@@ -126,6 +125,15 @@ def _drive_lines(drive: DataCoverage, begin_ns: int, units: Units) -> Iterator[s
 def _relative(spans: tuple[Span, ...], begin_ns: int) -> Iterator[tuple[float, float]]:
     for first, last in spans:
         yield (first - begin_ns) / NANOSECONDS, (last - begin_ns) / NANOSECONDS
+
+
+def _pace(flow: ReadingFlow) -> str:
+    """Readings a second, or seconds a reading, while they come; empty of a single one."""
+    apart = sum(last - first for first, last in flow.runs) / NANOSECONDS
+    rate = (flow.count - len(flow.runs)) / apart if apart > 0.0 else flow.rate
+    if not rate > 0.0:
+        return ""
+    return f"{rate:.1f} a second, " if rate >= 1.0 else f"one every {1.0 / rate:.1f} s, "
 
 
 def _flow(flow: ReadingFlow) -> tuple[str, str, str]:

@@ -17,6 +17,7 @@ from typing import Annotated
 import typer
 
 from evpinn_ros.bags.reader import BagReader
+from evpinn_ros.bags.types import FRAMES_TOPIC
 from evpinn_ros.bags.writer import Split
 from evpinn_ros.can.profile import load_profile
 from evpinn_ros.cli.console import note
@@ -111,6 +112,15 @@ def _is_empty(bag: Path) -> bool:
         return not any(True for _ in reader.log_times())
 
 
+def _holds_readings(bag: Path) -> bool:
+    """True if a topic that a replay reads has messages; the nodes' own always have."""
+    with BagReader(bag) as reader:
+        return any(
+            info.count and topic.endswith(REPLAYED) for topic, info in reader.topics.items()
+        )
+
+
+REPLAYED = ("vehicle/speed", "battery/state", "odom", FRAMES_TOPIC)
 BRIEF_S = 5.0  # nodes that end sooner failed, and have logged why
 
 
@@ -131,7 +141,9 @@ def _say_what_is_kept(begun: float, vehicle: str, record: Path | None, state: Pa
             "evpinn: nothing was saved. --record FOLDER keeps the drive, and --state FILE "
             "what was learned"
         )
-    if record in kept.values():
+    if record is not None and record in kept.values() and not _holds_readings(record):
+        note("evpinn: no frame, speed or battery reading came, so there is nothing to replay")
+    elif record in kept.values():
         of = shlex.join([str(record), "--vehicle", vehicle])
         note(f"evpinn: next: evpinn replay {of} --report drive.html")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Hashable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from evpinn_ros.cli.console import note
@@ -26,15 +26,19 @@ PRETTY = {
 
 def explain_columns(sources: Iterable[Source]) -> None:
     """Print, once of tables alike, columns that were guessed or are not used."""
-    tables: dict[tuple[str, ...], list[Source]] = {}
+    tables: dict[Hashable, list[Source]] = {}
     for source in sources:
-        if lines := tuple(_columns(source)):
-            tables.setdefault(lines, []).append(source)
-    for lines, (first, *others) in tables.items():
+        tables.setdefault(_choices(source), []).append(source)
+    for first, *others in tables.values():
         alike = f" and {counted(len(others), 'file')} like it" if others else ""
-        note(f"{first.path}{alike}: {lines[0]}")
-        for line in lines[1:]:
-            note(line)
+        for place, line in enumerate(_columns(first)):
+            note(line if place else f"{first.path}{alike}: {line}")
+
+
+def _choices(source: Source) -> Hashable:
+    """The columns of a table and their units; the figures in the reasons differ in each file."""
+    chosen = ((rule.quantity, rule.name, rule.unit, rule.could_be) for rule in source.rules)
+    return tuple(chosen), tuple(source.ignored)
 
 
 def _columns(source: Source) -> Iterator[str]:

@@ -221,7 +221,9 @@ def bus_status(bus: BusStatus, bridge: BridgeStatus, health: Health) -> Status:
         values["suspicion"] = bridge.fault
     if bus.problem:
         values["bus.last_problem"] = bus.problem
-    if bus.condition in (BusCondition.LOST, BusCondition.OFF):
+    if bus.condition is BusCondition.LOST and bus.problem:
+        verdict = Level.ERROR, f"{bus.problem}; trying again"
+    elif bus.condition in (BusCondition.LOST, BusCondition.OFF):
         verdict = Level.ERROR, bus.problem or bus.condition.value
     elif bus.condition in (BusCondition.SILENT, BusCondition.ERRORS):
         verdict = Level.WARN, bus.condition.value

@@ -58,6 +58,7 @@ POINTS = 40_000  # of a curve, all drives of a page together: an hour at 10 Hz l
 LEAST_POINTS = 2_000  # of a curve of one of many drives
 SMALL = 4  # times fewer points for parameters, which come once a second and change slowly
 MOST_EVENTS = 200  # shown
+ZONES = " UTC", ", local time"
 DATED_AT = 5  # column of the list of drives, behind its figures: narrow screens cut off the last
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 LAST_STAMP = 253_402_300_799 * NANOSECONDS  # end of the year 9999, the last of datetime
@@ -136,7 +137,9 @@ def write_drives(
         units,
     )
     columns = drives_columns(units)
-    began = [*(_date(drive.drive) for drive in drives), ""]
+    began = [_date(drive.drive) for drive in drives]
+    zone = next((zone for zone in ZONES if all(begin.endswith(zone) for begin in began)), "")
+    began = [*(begin.removesuffix(zone) for begin in began), ""]
     write_page(
         path,
         "drive.html.j2",
@@ -145,7 +148,7 @@ def write_drives(
         plots=[plots for _, plots in pages],
         drives=[values for values, _ in pages],
         about=", ".join(dict.fromkeys(drive.vehicle.name for drive in drives)),
-        index_columns=(*columns[:DATED_AT], "began", *columns[DATED_AT:]),
+        index_columns=(*columns[:DATED_AT], f"began{zone}", *columns[DATED_AT:]),
         index=[
             (*row[:DATED_AT], date, *row[DATED_AT:])
             for row, date in zip(rows, began, strict=False)
@@ -269,7 +272,7 @@ def _score_tiles(reported: ReportedDrive) -> Iterator[tuple[str, str]]:
 
 
 def _date(drive: Drive) -> str:
-    stamp_ns, zone = drive.start_ns, " UTC" if drive.zoned else ", local time"
+    stamp_ns, zone = drive.start_ns, ZONES[not drive.zoned]
     if not 0 <= stamp_ns <= LAST_STAMP:
         return "at an impossible time"
     if not drive.dated:

@@ -217,3 +217,23 @@ def test_several_inputs_give_drives_and_a_folder_though_they_are_one_drive(evpin
     assert ended.returncode == 0, ended.stderr
     assert len(json.loads((tmp_path / "m.json").read_text())) == 1
     assert [path.name for path in (tmp_path / "o").iterdir()] == ["001_a"]
+
+
+def test_files_of_one_app_are_explained_once_and_their_pace_is_that_between_pauses(
+    evpinn, tmp_path
+):
+    """Reasons hold figures of each file, here the medians of its temperature."""
+    for name, celsius in (("a", 75), ("b", 80)):
+        (tmp_path / f"{name}.csv").write_text(
+            "time (s),Speed (km/h),Voltage (V),Current (A),Ambient\n"
+            + "".join(
+                f"{5 * i + 2000 * (i > 60)},{i % 90},{360 - i % 7},{i % 50 - 9},{celsius}\n"
+                for i in range(120)
+            )
+        )
+    ended = evpinn("replay", "a.csv", "b.csv", "--vehicle", "bmw_i3", "--whole", cwd=tmp_path)
+    assert ended.stderr.count("too hot for °C") == ended.stderr.count("1 file like it") == 1
+    assert (
+        "speed: 120 readings, one every 5.0 s, longest gap 2005.00 s"
+        in evpinn("info", "a.csv", cwd=tmp_path).stdout
+    )

@@ -10,13 +10,25 @@ import pytest
 import typer
 
 from evpinn_ros.bags.reader import BagReader
-from evpinn_ros.cli.run import learned_before, reported
+from evpinn_ros.bags.writer import BagWriter
+from evpinn_ros.cli.run import _say_what_is_kept, learned_before, reported
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.package_data import share_directory
 from test.waiting import wait_until
 
 URBAN = share_directory() / "bags" / "urban"
 OPTIONS = ("--vehicle", "tesla_model_3_lr", "--duration", "20")
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_drive_of_no_readings_is_not_offered_for_replay(tmp_path, capsys, heard):
+    bag = tmp_path / "today"
+    with BagWriter(bag) as writer:
+        topic = "/ev/vehicle/speed" if heard else "/diagnostics"
+        writer.write_raw(topic, "std_msgs/msg/Float64", bytes(12), 1)
+    _say_what_is_kept(0.0, "bmw_i3", bag, None)
+    said = capsys.readouterr().err
+    assert ("evpinn replay" in said) == heard and ("nothing to replay" in said) != heard
 
 
 def test_a_drive_that_was_not_to_be_kept_leaves_its_report_alone(tmp_path):

@@ -225,3 +225,10 @@ def test_a_plan_cut_anywhere_takes_the_same_by_the_command(evpinn, folder, seed)
             same = (cut[name], whole[name])
             assert same == (None, None) or same[0] == pytest.approx(same[1], rel=1e-9, abs=1e-9)
         assert abs(cut["more_than_first_j"]) < 1e-3
+
+
+def test_a_charge_that_no_plan_has_takes_no_column(evpinn, folder):
+    for given, there in (((), False), (("--charge", 60), True)):
+        ended = evpinn("forecast", "slow.csv", "fast.csv", "--vehicle", CAR, *given, cwd=folder)
+        header = next(line for line in ended.stdout.splitlines() if "kWh/100 km" in line)
+        assert ("charge after" in header) == there and "more than the first" in header
