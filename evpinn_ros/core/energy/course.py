@@ -147,6 +147,7 @@ def _divided(
     step = np.arange(len(line)) - (np.cumsum(pieces) - pieces)[line]
     share = step / pieces[line]
     first, last, top = start[line], end[line], middle[line]
+    # The parabola through three speeds, and its integral as a share of the length of the line.
     rise, bend = 4.0 * top - 3.0 * first - last, 2.0 * (first + last) - 4.0 * top
     between = np.maximum(first + share * (rise + share * bend), 0.0)
     way = share * (first + share * (rise / 2.0 + share * bend / 3.0))

@@ -373,21 +373,20 @@ def forecast_plan(
     stood, square, unseen = (np.cumsum(column) for column in (*still, course.unknown))
     noise = model.noise(elapsed, stood, square)
     beyond, uneven = _beyond(course, model, steady=is_steady(plan, steady))
-    energies = None
+    sums_along = elapsed, noise, unseen, uneven
     if along:
         rows = model.rows_along(steps, weather)
         rows[:, UNEVEN_STATES] += np.cumsum(beyond, axis=0)
+        energy, sigma = model.predicted(rows, *sums_along)
+        row, possible = rows[-1], np.isfinite(sigma).all()
     else:
         row, energies = model.whole_row(steps, weather)
         row[UNEVEN_STATES] += beyond.sum(0)
-        rows = row[None]
-    sums_of_row = (column[-len(rows) :] for column in (elapsed, noise, unseen, uneven))
-    energy, sigma = model.predicted(rows, *sums_of_row)
-    possible = bool(np.isfinite(sigma).all())
-    if energies is not None:
+        _, last = model.predicted(row[None], *(column[-1:] for column in sums_along))
         energy = np.cumsum(energies + beyond @ model.car.mean[UNEVEN_STATES])
         energy += model.car.mean[State.LOAD] * wandered(elapsed)[1]
-        sigma = np.concatenate((np.full(len(energy) - 1, math.nan), sigma))
+        sigma = np.append(np.full(len(energy) - 1, math.nan), last)
+        possible = np.isfinite(last).all()
     energy, sigma = (np.concatenate(([0.0], column)) for column in (energy, sigma))
     curve = EnergyCurve(course.time, course.distance, energy, sigma)
     time = np.append((points.time - points.time[0])[:-1], curve.time[-1])  # equal but for rounding
@@ -398,7 +397,7 @@ def forecast_plan(
     if not (possible and np.isfinite(energy + power).all()):
         raise PlanError("by the model of the car its energy is not finite")
     whole = elapsed, course.distance[1:], noise, unseen, uneven
-    end = PlanEnd(rows[-1], *(float(column[-1]) for column in whole))
+    end = PlanEnd(row, *(float(column[-1]) for column in whole))
     return Forecast(points.time, energy, power, sigma, end, curve)
 
 

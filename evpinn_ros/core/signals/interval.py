@@ -272,6 +272,7 @@ class IntervalBuilder:
         end_ns, speeds = int(self._edges.stamps[last]), self._speed.stamps
         begin_ns = max(self._looked_ns, end_ns + EDGE_AHEAD_NS)
         speeds = speeds[speeds.searchsorted(begin_ns) :]
+        # By each of these speeds: what was known when it came.
         after = speeds - end_ns
         battery = speeds >= self._battery.first_after(np.array([end_ns]))
         dropout = after > self._battery.gap_ns(speeds)
