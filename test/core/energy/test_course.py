@@ -78,7 +78,8 @@ def cut_points(plan: Plan, shares: list[np.ndarray]) -> Plan:
         whole = plan.distance[leg + 1] - plan.distance[leg]
         height = plan.elevation[leg] + np.divide(way, whole or 1.0) * np.diff(plan.elevation)[leg]
         rows.append([[column[leg]] for column in columns_of(plan)])
-        rows.append([plan.time[leg] + share * duration, plan.distance[leg] + way, speed, height])
+        distance = np.minimum(plan.distance[leg] + way, plan.distance[leg + 1])  # but for rounding
+        rows.append([plan.time[leg] + share * duration, distance, speed, height])
     rows.append([[column[-1]] for column in columns_of(plan)])
     return replace(
         plan, **dict(zip(NAMES, map(np.concatenate, zip(*rows, strict=True)), strict=True))
