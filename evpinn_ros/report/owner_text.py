@@ -31,9 +31,10 @@ from evpinn_ros.report.tables import signed_percent, watts
 NEARLY_WHOLE = 0.99  # share of distance or time from which on nothing is reported as missing
 SPARSE_BATTERY = 10.0  # s between currents, from which on the energy errs by some percent
 LEAST_HEATING = 300.0  # W that a car reports, worth saying
+LARGEST_PERCENT = 100.0
 SCORES = (
     "RMSE (of power) and error of energy say how well each drive was predicted, moment by moment, "
-    "before it was learned from."
+    "before it was learned from. An error larger than the energy itself is in kWh."
 )
 LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying
 
@@ -174,7 +175,7 @@ def drives_rows(
             *_texts(of_drive, units),
             _most(metrics["breakdown"]),
             watts(metrics["power"]["rmse_w"]),
-            signed_percent(metrics["energy"]["error_percent"]),
+            _error(metrics["energy"]),
         )
         for (name, _, metrics), of_drive in zip(drives, figures, strict=True)
     ]
@@ -183,6 +184,15 @@ def drives_rows(
         rows.append((f"all {len(rows)}", *_texts(total, units), _most(breakdown), "-",
                      signed_percent(_predicted(metrics for *_, metrics in drives))))  # fmt: skip
     return rows
+
+
+def _error(energy: Mapping[str, Any]) -> str:
+    """Error in percent, or in kWh where it says more: a drive downhill may take nearly nothing."""
+    percent = energy["error_percent"]
+    if percent is None or abs(percent) <= LARGEST_PERCENT:
+        return signed_percent(percent)
+    kwh = (energy["predicted_j"] - energy["measured_j"]) / JOULES_PER_KWH
+    return f"{fixed(kwh, kwh_digits(kwh, 2), '+')} kWh"
 
 
 def _predicted(metrics: Iterable[Mapping[str, Any]]) -> float | None:

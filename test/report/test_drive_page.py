@@ -158,6 +158,30 @@ def test_what_a_bag_holds_is_text(reported, tmp_path):
     assert attacked.data == harmless.data
 
 
+@pytest.mark.parametrize(
+    ("share", "dated", "said", "column"),
+    [(1.5, True, "+50.00 %", "began, local time"), (3.0, False, "kWh", "began")],
+)
+def test_the_list_of_drives_says_the_clock_once_and_no_error_of_hundreds_of_percent(
+    reported, tmp_path, share, dated, said, column
+):
+    """A drive downhill takes nearly nothing."""
+    measured = reported.metrics["energy"]["measured_j"]
+    wrong = {"predicted_j": share * measured, "error_percent": 100.0 * (share - 1.0)}
+    energy = dict(reported.metrics["energy"]) | wrong
+    changed = replace(reported, metrics=dict(reported.metrics) | {"energy": energy})
+    start_ns = 1_709_622_489 * 10**9
+    drives = [
+        replace(changed, drive=replace(reported.drive, start_ns=start, zoned=False))
+        for start in (start_ns, start_ns if dated else 0)
+    ]
+    write_drives(tmp_path / "page.html", drives, "evpinn replay")
+    table = (tmp_path / "page.html").read_text().partition("<tbody>")
+    assert f"<th>{column}</th>" in table[0]
+    first = table[2].partition("</tr>")[0]
+    assert said in first.rpartition("<td>")[2] and ("local time" in first) != dated
+
+
 def rows(count: int) -> np.ndarray:
     return np.zeros((0, count))
 
