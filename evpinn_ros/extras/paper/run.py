@@ -200,9 +200,9 @@ def _label(settings: Settings, quick: bool) -> str:
 
 def _left_out(settings: Settings) -> str:
     adam = settings.optimizer is OptimizerName.ADAM
-    trained = f"{settings.epochs} of the" if adam else "none of the"
+    trained = f"{settings.epochs} of" if adam else f"{settings.optimizer.value} in place of"
     return (
-        f"Shortened: {trained} paper's {PUBLISHED_EPOCHS} epochs of adam, and "
+        f"Shortened: {trained} the paper's {PUBLISHED_EPOCHS} epochs of adam, and "
         f"{settings.energy_epochs} of {ENERGY_EPOCHS} epochs of the energy networks. Leave out "
         "--quick and --optimizer to run them all."
     )
