@@ -297,7 +297,7 @@ def saved(path):
 @pytest.mark.timeout(3600)
 @pytest.mark.skipif(sys.platform != "linux", reason="traces system calls")
 @pytest.mark.parametrize(
-    "kills", [range(0, STOPS, 3), pytest.param(range(10_000), marks=pytest.mark.nightly)], ids=len
+    "kills", [range(0, STOPS, 7), pytest.param(range(10_000), marks=pytest.mark.nightly)], ids=len
 )
 def test_a_kill_at_each_system_call_of_a_save_loses_nothing_of_two_writers(tmp_path, kills):
     """One of two is killed at each of its stops while the other waits."""

@@ -7,9 +7,11 @@ from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+import pytest
 
 from evpinn_ros.core.signals.admission import Admission
 from evpinn_ros.core.signals.readings import DAY_NS, BatteryReading, SpeedReading
@@ -20,6 +22,18 @@ from evpinn_ros.logs.sources import open_drive
 START = datetime(2024, 3, 5, 7, 8, 9)
 LONGEST_STEP = 15.0  # s; over more, nothing is known
 FloatArray = NDArray[np.float64]
+
+
+def crossed(names: str, kinds: Sequence[Any], cases: Sequence[Any]) -> pytest.MarkDecorator:
+    """Each case in the first kind of log and, in turn, in one of the others; in all at night."""
+    others = len(kinds) - 1
+    rows = [
+        pytest.param(kind, *(case if isinstance(case, tuple) else (case,)),
+                     marks=() if at in (0, 1 + number % others) else pytest.mark.nightly)
+        for number, case in enumerate(cases)
+        for at, kind in enumerate(kinds)
+    ]  # fmt: skip
+    return pytest.mark.parametrize(f"kind,{names}", rows)
 
 
 @dataclass(frozen=True)

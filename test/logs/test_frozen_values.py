@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 import math
 from pathlib import Path
 import sys
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from exports import START, Drive, measured, opened, simulated, table
+from exports import START, Drive, crossed, measured, opened, simulated, table
 
 from evpinn_ros.bags.convert import write_readings
 from evpinn_ros.bags.writer import BagWriter
@@ -92,9 +93,7 @@ def one_in(count: int, signal: str) -> Drive:
     return replace(DRIVE, **{signal: np.where(np.arange(values.size) % count == 0, values, 0.0)})
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("signal", ["speed", "current"])
-@pytest.mark.parametrize("value", [None, 0.0])
+@crossed("signal,value", KINDS, [*product(("speed", "current"), (None, 0.0))])
 def test_a_signal_that_stands_still_is_not_used_there(tmp_path, kind, signal, value):
     source = kind(held(signal, value), tmp_path)
     inside = list(source.readings())
@@ -128,8 +127,7 @@ LOST = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("stretches", LOST)
+@crossed("stretches", KINDS, [*LOST])
 def test_nothing_is_measured_where_all_signals_stand_still(tmp_path, kind, stretches):
     source = kind(frozen(*LOST[stretches]), tmp_path)
     stamps = [
@@ -148,8 +146,7 @@ BRIDGES = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("bridge", BRIDGES)
+@crossed("bridge", KINDS, [*BRIDGES])
 def test_nothing_is_measured_where_all_signals_lie_on_lines(tmp_path, kind, bridge):
     """An exporter fills a hole so, and a car of 1700 kg weighed 120 kg."""
     (first, after), digits = BRIDGES[bridge]
@@ -211,9 +208,7 @@ def test_values_that_stand_still_time_and_again_are_measured(tmp_path, kind, val
     assert "speed and battery stand still" not in " ".join(source.notes)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("signal", ["speed", "current"])
-@pytest.mark.parametrize("count", [3, 5])
+@crossed("signal,count", KINDS, [*product(("speed", "current"), (3, 5))])
 def test_zeros_between_measurements_are_not_used(tmp_path, kind, signal, count):
     source = kind(one_in(count, signal), tmp_path)
     distance, energy = measured(source)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from exports import Drive, date, measured, opened, simulated, table
+from exports import Drive, crossed, date, measured, opened, simulated, table
 from test_frozen_values import VEHICLE, of_bag, of_can_log, readings
 
 from evpinn_ros import topics
@@ -62,8 +62,7 @@ LOST = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("lost", LOST)
+@crossed("lost", KINDS, [*LOST])
 def test_powers_that_lost_their_sign_are_doubted(tmp_path, kind, lost):
     current = np.where(LOST[lost], np.abs(DRIVE.current), DRIVE.current)
     source = kind(replace(DRIVE, current=current), tmp_path)
@@ -86,8 +85,7 @@ def test_a_voltage_that_a_large_current_does_not_move_is_doubted(tmp_path, kind,
     assert f"the voltage is always {volts:.0f} V while" in doubts(kind(drive, tmp_path))
 
 
-@pytest.mark.parametrize("kind", KINDS[1:])
-@pytest.mark.parametrize(("begin", "end"), [(0.0, 200.0), (300.0, 400.0), (500.0, 1e9)])
+@crossed("begin,end", KINDS[1:], [(0.0, 200.0), (300.0, 400.0), (500.0, 1e9)])
 def test_a_voltage_that_stands_still_for_long_is_doubted(tmp_path, kind, begin, end):
     still = (DRIVE.time >= begin) & (DRIVE.time < end)
     voltage = np.where(still, DRIVE.voltage[still][0], DRIVE.voltage)
@@ -95,9 +93,7 @@ def test_a_voltage_that_stands_still_for_long_is_doubted(tmp_path, kind, begin, 
     assert "the voltage stands still at " in told and f" from {begin:.0f} s on" in told
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("lag", [-2.0, 0.0, 1.0, 2.0])
-@pytest.mark.parametrize("seed", [0, 1])
+@crossed("lag,seed", KINDS, [*itertools.product((-2.0, 0.0, 1.0, 2.0), (0, 1))])
 def test_a_drive_as_it_was_is_not_doubted(tmp_path, kind, lag, seed):
     """Its speed may come late or early."""
     drive = simulated(seed=seed)

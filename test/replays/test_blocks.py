@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
+from itertools import chain
 import time
 from typing import Any
 
@@ -24,7 +25,7 @@ from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import simulate
 
 pytestmark = pytest.mark.slow
-SECONDS = 70.0
+SECONDS = 45.0
 
 
 def damaged(readings: list[Reading]) -> list[Reading]:
@@ -34,9 +35,9 @@ def damaged(readings: list[Reading]) -> list[Reading]:
     for reading in readings:
         second = (reading.stamp_ns - start_ns) / NANOSECONDS
         battery = isinstance(reading, BatteryReading)
-        if rng.uniform() < 0.02 or (battery and 30.0 < second < 38.0) or 50.0 < second < 54.0:
+        if rng.uniform() < 0.02 or (battery and 20.0 < second < 28.0) or 33.0 < second < 37.0:
             continue
-        if isinstance(reading, SpeedReading) and 60.0 < second < 60.3:
+        if isinstance(reading, SpeedReading) and 41.0 < second < 41.3:
             reading = replace(reading, speed=30.0)
         late = rng.uniform(0.0, 0.4) if rng.uniform() < 0.05 else 0.0
         arrivals.append((second + late, reading))
@@ -88,14 +89,14 @@ def numbers(value: Any) -> Iterator[float]:
 
 def outputs(drive: list[Reading], sizes: Iterator[int], vehicle: Any) -> list[ChainOutput]:
     """Outputs of the chain for a drive cut into blocks of these sizes."""
-    chain = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
+    whole = Chain(vehicle, EstimatorSettings(), InlineWorker(time.perf_counter))
     outputs_so_far: list[ChainOutput] = []
     begin = 0
     while begin < len(drive):
         end = begin + next(sizes)
-        outputs_so_far += chain.add_readings(drive[begin:end])
+        outputs_so_far += whole.add_readings(drive[begin:end])
         begin = end
-    assert chain.estimator.status().accepted > 1
+    assert whole.estimator.status().accepted > 1
     return outputs_so_far
 
 
@@ -118,16 +119,16 @@ def assert_equal(outputs_now: list[ChainOutput], expected: list[ChainOutput], wh
         for some in (outputs_now, expected)
     )
     assert list(map(kind, outputs_now)) == list(map(kind, expected))
-    for now, before in zip(outputs_now, expected, strict=True):
-        np.testing.assert_allclose(
-            [*numbers(now)], [*numbers(before)], rtol=1e-9, atol=1e-9, err_msg=what
-        )
+    columns = [[[*numbers(output)] for output in some] for some in (outputs_now, expected)]
+    assert [*map(len, columns[0])] == [*map(len, columns[1])], what
+    now, before = ([*chain.from_iterable(rows)] for rows in columns)
+    np.testing.assert_allclose(now, before, rtol=1e-9, atol=1e-9, err_msg=what)
 
 
 def test_cuts_change_no_output(drive, vehicle):
     alone = outputs(drive, sizes(1), vehicle)
     assert any(isinstance(output, ParameterSet) for output in alone)
-    for cut in (7, 64, None, len(drive) + 1):
+    for cut in (7, None, len(drive) + 1):
         assert_equal(outputs(drive, sizes(cut), vehicle), alone, str(cut))
 
 

@@ -99,7 +99,7 @@ def test_a_drive_has_one_clock_and_the_next_one_that_of_its_lag(drives_of, new_e
     assert drives_of(0.0).status().shift == 0.0
 
 
-@pytest.mark.parametrize("lag", LAGS)
+@pytest.mark.parametrize("lag", [-2.0, 3.0])
 def test_a_battery_whose_stamps_are_moved_back_is_not_late(drives_of, lag):
     status = drives_of(lag).status()
     assert abs(status.shift) > 0.4 and not status.dropped
