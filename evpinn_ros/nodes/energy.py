@@ -221,7 +221,8 @@ class EnergyNode(GuardedNode):
 
     def _on_plan(self, type_name: str, data: bytes) -> None:
         """Ask the desk for an answer to a plan; its thread also unpacks the bytes."""
-        job = partial(self._answer_plan, type_name, data, self._moment())
+        moment, start_speed = self._moment(), self.account.speed
+        job = partial(self._answer_plan, type_name, data, moment, start_speed)
         if not self._desk.ask(self.guarded(job, "plan")):
             header = decode("std_msgs/msg/Header", data)  # the first field of every plan
             self._refuse(header, "too many plans are waiting")
@@ -231,13 +232,15 @@ class EnergyNode(GuardedNode):
         type_name: str,
         data: bytes,
         moment: Moment,
+        start_speed: float,
         forecaster: Forecaster,
     ) -> None:
         """Answer a plan, or refuse it with the reason, even after an internal fault."""
         header = new_message("std_msgs/msg/Header")
         try:
             header = decode("std_msgs/msg/Header", data)
-            asked, plan = question(header), plan_of_message(type_name, data, decode, self._speed())
+            speeds = self._speed(), start_speed
+            asked, plan = question(header), plan_of_message(type_name, data, decode, *speeds)
             answer = forecaster.answer(plan, *moment, asked)
             messages = list(self._plan_messages(header, answer, forecaster.basis))
         except (BadMessage, PlanError) as error:

@@ -34,11 +34,15 @@ Decode: TypeAlias = Callable[[str, bytes], Any]
 
 
 def plan_of_message(
-    type_name: str, data: bytes, decode: Decode, nominal_speed: float = NOMINAL_SPEED
+    type_name: str,
+    data: bytes,
+    decode: Decode,
+    nominal_speed: float = NOMINAL_SPEED,
+    start_speed: float = 0.0,
 ) -> Plan:
     """The plan in CDR bytes of one of `PLAN_TYPES`; PlanError if wrong or with too many points.
 
-    A path without times is driven at `nominal_speed`, m/s.
+    A path without times is driven at `nominal_speed`, m/s, from `start_speed` on.
     """
     try:
         count = _point_count(type_name, data)
@@ -54,7 +58,9 @@ def plan_of_message(
     if type_name == TRAJECTORY_TYPE:
         return speed_profile_plan(message)
     followed = (
-        path_plan(message, nominal_speed) if type_name == PATH_TYPE else trajectory_plan(message)
+        path_plan(message, nominal_speed, start_speed)
+        if type_name == PATH_TYPE
+        else trajectory_plan(message)
     )
     # Followed by a controller of Nav2 or Autoware; without a map of heights z never changes.
     return replace(followed, commanded=True, level=False)
@@ -131,11 +137,11 @@ def question(header: Any) -> Question:
     return Question(header.frame_id, together)
 
 
-def path_plan(message: Any, nominal_speed: float = NOMINAL_SPEED) -> Plan:
-    """The plan in a nav_msgs/Path, driven at nominal speed, m/s, if its poses have no stamps."""
+def path_plan(message: Any, nominal_speed: float, start_speed: float) -> Plan:
+    """The plan in a nav_msgs/Path, driven at these speeds, m/s, if its poses have no stamps."""
     x, y, z = _positions(message.poses)
     seconds = _seconds(pose.header.stamp for pose in message.poses)
-    return plan_from_path(x, y, z, seconds, nominal_speed=nominal_speed)
+    return plan_from_path(x, y, z, seconds, nominal_speed=nominal_speed, start_speed=start_speed)
 
 
 def speed_profile_plan(message: Any) -> Plan:

@@ -3,14 +3,16 @@
 from itertools import pairwise
 import json
 
+import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
 from evpinn_ros import topics
+from evpinn_ros.core.energy.path_plan import plan_from_path
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, SpeedReading
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.topics.messages import Level, read_named_vector
-from test.nodes.plans import ANSWERS, ask, power, profile
+from test.nodes.plans import ANSWERS, ask, path, power, profile
 
 START = 1_700_000_000
 SPEED = 50.0  # m/s
@@ -44,14 +46,14 @@ def hear_totals(bench, node):
 
 def test_a_planner_hears_consistent_totals_across_a_restart(bench, tmp_path):
     """Subscribed before and after: energy since reset never starts over or jumps."""
-    path = str(tmp_path / "energy.json")
-    first = bench.start(EnergyNode, energy_file=path)
+    file = str(tmp_path / "energy.json")
+    first = bench.start(EnergyNode, energy_file=file)
     before = hear_totals(bench, first)
     drive(bench, first, range(60))
     bench.pump(lambda: len(before) == first.published[topics.ENERGY_TOTALS])
     bench.stop(first)
     heard = len(before)
-    second = bench.start(EnergyNode, energy_file=path)
+    second = bench.start(EnergyNode, energy_file=file)
     bench.pump(lambda: second.count_subscribers(topics.ENERGY_TOTALS.under()) > 0)
     drive(bench, second, range(65, 90))
     after = hear_totals(bench, second)
@@ -119,6 +121,17 @@ def test_the_range_is_that_of_the_route_whose_plan_was_asked(bench):
     assert node.account.route is None
 
 
+def test_a_path_without_times_begins_at_the_speed_of_the_car(bench):
+    node, zero = bench.start(EnergyNode), np.zeros(2)
+    bench.listen(*ANSWERS)
+    for speed in (0.0, SPEED):
+        (answer,), _ = ask(bench, node, topics.PLAN, path((0.0, 0.0, 0.0), (5e3, 0.0, 0.0)))
+        plan = plan_from_path(np.array([0.0, 5e3]), zero, zero, start_speed=speed)
+        last = answer.points[-1].time_from_start
+        assert last.sec + last.nanosec / NANOSECONDS == pytest.approx(plan.time[-1], abs=1e-6)
+        drive(bench, node, range(30))
+
+
 @pytest.mark.parametrize("away", [4, 25])
 def test_the_battery_is_counted_while_the_estimator_is_away(bench, monkeypatch, away):
     """As when it is killed, or started again: what it heard of nothing is missing."""
@@ -155,8 +168,8 @@ def test_of_two_publishers_an_hour_apart_one_is_followed_and_one_reported(bench,
 
 def test_hostile_speeds_and_powers_stop_nothing(bench, tmp_path):
     """They were added, saved and came back; four of them ended energy/state and every save."""
-    path = tmp_path / "energy.json"
-    node = bench.start(EnergyNode, energy_file=str(path))
+    file = tmp_path / "energy.json"
+    node = bench.start(EnergyNode, energy_file=str(file))
     bench.listen(topics.ENERGY_STATE, *SUMMARY)
     drive(bench, node, range(10))
     for tick, wrong in enumerate(20 * [1e9, 1e308, -1e308]):
@@ -174,4 +187,4 @@ def test_hostile_speeds_and_powers_stop_nothing(bench, tmp_path):
     shown = bench.diagnosis(node)["meter"][2]
     assert (shown["bad.speed_out_of_range"], shown["bad.power_out_of_range"]) == ("60", "120")
     assert bench.call(Trigger, "/ev/energy/save").success
-    assert json.loads(path.read_text())["energy"]["trip"]["speed"]["drawn"] <= 30 * SPEED
+    assert json.loads(file.read_text())["energy"]["trip"]["speed"]["drawn"] <= 30 * SPEED

@@ -29,6 +29,7 @@ from evpinn_ros.core.energy.meter import (
     SavedMeter,
 )
 from evpinn_ros.core.energy.plausible import MOST_ENERGY, Joules, Metres, Seconds
+from evpinn_ros.core.energy.quadrature import MAX_GAP
 from evpinn_ros.core.energy.remaining import (
     SHORTEST,
     Cost,
@@ -289,6 +290,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _begin(self, before: EnergyTotals, correction: TripCorrection) -> None:
         self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
+        self._speed = NEVER, 0.0  # the newest: stamp, and m/s
         self.reconciled: Reconciled | None = None
         self._waiting = _Waiting()
         self._awaits_charge: tuple[Dropout, float] | None = None
@@ -428,6 +430,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         if len(stamps):
             energies, _, _ = course.consumed(course.up_to(stamps))
             self._driven.append((stamps, speeds, energies))
+            self._speed = int(stamps[-1]), abs(float(speeds[-1]))
         battery = self._waiting.taken(_Kind.BATTERY, until_ns)
         corrections = self._charged(course, battery.stamps, *battery.values)
         if len(stamps) + len(battery.stamps) >= EXTENDED_AT:
@@ -440,6 +443,12 @@ class EnergyAccount(Saveable[SavedAccount]):
             if waiting:
                 log.extend(*map(np.concatenate, zip(*waiting, strict=True)))
                 waiting.clear()
+
+    @property
+    def speed(self) -> float:
+        """Newest speed, m/s; 0 if it is silent."""
+        stamp_ns, speed = self._speed
+        return speed if self._newest_ns - stamp_ns <= MAX_GAP * NANOSECONDS else 0.0
 
     @property
     def trip(self) -> TripLog:

@@ -1,7 +1,7 @@
 """Plan along the points of a path: by their stamps, or as a gentle driver would take the path.
 
-Without stamps the car starts and ends at rest, keeps to a nominal speed, brakes for bends and
-accelerates again, with limits that are comfortable.
+Without stamps the car starts at its present speed, ends at rest, keeps to a nominal speed, brakes
+for bends and accelerates again, with limits that are comfortable.
 """
 
 from __future__ import annotations
@@ -42,13 +42,14 @@ def plan_from_path(
     stamps: np.ndarray | None = None,
     *,
     nominal_speed: float = NOMINAL_SPEED,
+    start_speed: float = 0.0,
 ) -> Plan:
     """A plan from path points.
 
     With stamps, speed is the slope of a monotone cubic through distance over time: zero where
-    the path waits. Stamps that are absent or all equal are unusable; the car then starts and
-    ends at rest, accelerates and brakes with `COMFORT_ACCELERATION`, takes bends with
-    `COMFORT_LATERAL` and else drives `nominal_speed`.
+    the path waits. Stamps that are absent or all equal are unusable; the car then starts at
+    `start_speed`, ends at rest, accelerates and brakes with `COMFORT_ACCELERATION`, takes bends
+    with `COMFORT_LATERAL` and else drives `nominal_speed`.
 
     Args:
         x: m, shape (n,) as all, n >= 2.
@@ -56,6 +57,7 @@ def plan_from_path(
         z: m, elevation.
         stamps: s, or None.
         nominal_speed: m/s.
+        start_speed: m/s, from which it also brakes comfortably.
 
     Raises:
         PlanError: the points are not a trip.
@@ -72,7 +74,7 @@ def plan_from_path(
     refuse(legs > farthest, f"jumps farther than {farthest / 1e3:g} km", after=1)
     distance = sums(legs)
     if time is None:
-        return _nominal_plan(distance, points, nominal_speed)
+        return _nominal_plan(distance, points, nominal_speed, start_speed)
     duration = np.diff(time)
     refuse(duration < 0, "time goes back", after=1)
     # Equal points are one; so are points closer than the rounding of the distance.
@@ -132,24 +134,29 @@ def monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _nominal_plan(
-    distance: np.ndarray, points: dict[str, np.ndarray], nominal_speed: float
+    distance: np.ndarray, points: dict[str, np.ndarray], nominal_speed: float, start_speed: float
 ) -> Plan:
     length = float(distance[-1])
     if length == 0:
         raise PlanError("the path has neither length nor duration")
     if not 0 < nominal_speed <= MAX_SPEED:
         raise PlanError(f"cannot drive {nominal_speed:g} m/s")
-    ramp = min(nominal_speed**2 / (2 * COMFORT_ACCELERATION), length / 2)
+    # Speed changes within these metres of the start and of the end.
+    first, last = (
+        min(abs(nominal_speed**2 - end**2) / (2 * COMFORT_ACCELERATION), length / 2)
+        for end in (start_speed, 0.0)
+    )
     # The ends of both ramps become points, so that every leg has one constant acceleration.
     step = min(NOMINAL_STEP, NOMINAL_SECONDS * nominal_speed)
     steps = np.linspace(0.0, length, 2 + min(int(length / step), MAX_POINTS))
     bends = distance[_telling(distance, *points.values())]
-    s = np.concatenate((bends, steps, [ramp, length - ramp]))
+    s = np.concatenate((bends, steps, [first, length - last]))
     s = np.unique(s.round(6))  # no leg is shorter than rounding
     squared = np.minimum(nominal_speed, _bend_speed(s, distance, points)) ** 2
-    squared[[0, -1]] = 0.0
-    # As fast as braking for later limits and accelerating from earlier ones allow.
     gained = 2 * COMFORT_ACCELERATION * s
+    squared = np.maximum(squared, start_speed**2 - gained)
+    squared[[0, -1]] = start_speed**2, 0.0
+    # As fast as braking for later limits and accelerating from earlier ones allow.
     squared = np.minimum.accumulate(squared - gained) + gained
     squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
     squared[1:-1] = np.maximum(squared[1:-1], TINY)  # against rounding on long paths

@@ -85,6 +85,12 @@ def test_totals_and_consumption_of_a_drive():
     assert summary.remaining.distance == pytest.approx(expected, rel=1e-2)
 
 
+def test_the_speed_of_now_is_the_newest_until_speed_is_silent():
+    counted = account()
+    assert counted.speed == 0.0 and drive(counted, range(60)).speed == SPEED
+    assert drive(counted, range(60, 70), blind=range(60, 71)).speed == 0.0
+
+
 def test_a_drive_in_one_block_is_one_of_values_one_by_one():
     """The energy at a speed holds the power of its moment."""
     one_by_one, block = (

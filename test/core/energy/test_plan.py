@@ -137,12 +137,16 @@ def around_a_corner(angle, leg=300.0):
     return np.array([0.0, leg, turned[0]]), np.array([0.0, 0.0, turned[1]])
 
 
-@example(0.287009838009571, 5.0)  # two points of the path are apart by rounding
-@given(st.floats(0.0, math.pi), st.floats(5.0, 35.0))
-def test_a_nominal_profile_is_comfortable(angle, nominal):
+@example(0.287009838009571, 5.0, 0.0)  # two points of the path are apart by rounding
+@given(st.floats(0.0, math.pi), st.floats(5.0, 35.0), st.just(0.0) | st.floats(0.0, 50.0))
+def test_a_nominal_profile_is_comfortable(angle, nominal, start):
     x, y = around_a_corner(angle)
-    plan = plan_from_path(x, y, np.zeros(3), nominal_speed=nominal)
-    assert (plan.speed <= nominal + 1e-9).all()
+    plan = plan_from_path(x, y, np.zeros(3), nominal_speed=nominal, start_speed=start)
+    assert (plan.speed <= max(nominal, start) + 1e-9).all()
+    stops = math.sqrt(2.0 * COMFORT_ACCELERATION * plan.distance[-1])
+    assert plan.speed[0] == pytest.approx(min(start, stops), rel=1e-6) and plan.speed[-1] == 0.0
+    there = plan.distance >= abs(nominal**2 - start**2) / (2 * COMFORT_ACCELERATION)
+    assert (plan.speed[there] <= nominal + 1e-9).all()
     gained = np.abs(np.diff(plan.speed**2)) / (2 * np.diff(plan.distance))
     assert gained.max() <= COMFORT_ACCELERATION * (1 + 1e-6)
     assert plan.speed[1:-1].min() > 0
