@@ -105,10 +105,7 @@ VARIANTS = (
     Variant("no heating and cooling", _without(State.COLD, State.HOT, *STARTS)),
     Variant("no start of heating", _without(*STARTS)),
     Variant("reported loads ignored", {ConstantPlace("terms", "standing_powers"): _unreported}),
-    Variant(
-        "bands not scaled",
-        {ConstantPlace("bands", "PRIOR_CASES"): 1e12, ConstantPlace("bands", "PRIOR_SCALE"): 1.0},
-    ),
+    Variant("bands not scaled", {ConstantPlace("bands", "DEGREES"): 1e12}),
     Variant("hills of one size", _fixed(0.004)),
     Variant("no unseen hills", _fixed(0.0)),
     Variant("no heavy tails", {ConstantPlace("posterior", "OUTLIER"): 1e3}),

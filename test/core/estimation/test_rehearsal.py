@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from evpinn_ros.core.estimation.bands import (
+    DEGREES,
     GROWTHS,
-    PRIOR_CASES,
-    PRIOR_SCALE,
     Bands,
     PredictedEnergy,
     Spread,
@@ -66,12 +65,26 @@ def test_nothing_is_proved_by_a_dropout_or_a_car_that_stands(intervals):
 
 def test_a_spread_goes_both_ways_and_one_odd_road_counts_little():
     spread = Spread()
-    assert spread.scale == PRIOR_SCALE
     for _ in range(100):
         spread = spread.after(0.5)
-    assert 0.25 < spread.scale < 0.25 + PRIOR_CASES * PRIOR_SCALE / 40
+    assert 0.25 < spread.scale < 0.25 + DEGREES / 40
     odd = spread.after(1e6)
     assert odd.scale < spread.scale + 16.0 / 40
+
+
+@pytest.mark.parametrize("cases", [2, 8, 30])
+def test_where_cars_differ_the_variance_is_right_after_few_cases_too(cases):
+    """The mean square of the errors of a car is drawn as Student's t has it."""
+    rng, squares = np.random.default_rng(0), []
+    for _ in range(3000):
+        size = np.sqrt(DEGREES / rng.chisquare(DEGREES))
+        *seen, last = size * rng.standard_normal(cases + 1)
+        spread = Spread()
+        for error in seen:
+            spread = spread.after(error)
+        squares.append(last**2 / spread.scale)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(np.array(squares) < 1.645**2) == pytest.approx(0.9, abs=0.02)
 
 
 def test_flat_country_has_narrow_bands_and_mountains_wide_ones():
