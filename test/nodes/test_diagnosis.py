@@ -29,6 +29,7 @@ STATUS = EstimatorStatus(
     accepted=35,
     rejected={"not_better": 5},
     durations=(0.004, 0.006, 0.005),
+    newest_ns=1,
 )
 AIR = Air(celsius=-3.0)
 

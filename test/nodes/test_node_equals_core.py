@@ -90,9 +90,8 @@ def equal(bench, drive, policy):
     core = chain(JumpRule(policy))
     expected = defaultdict(list)
     for topic, bag_message, ros_message in drive:
-        for name, messages in messages_of(
-            core.add_reading(to_reading(topic.type_name, bag_message))
-        ):
+        reading = to_reading(topic.type_name, bag_message)
+        for name, messages in messages_of(core.add_readings([reading])):
             expected[name] += messages
         bench.drive([(topic, ros_message)])
     bench.settle()

@@ -188,7 +188,7 @@ def test_a_bag_through_three_processes_gives_the_numbers_of_the_cores(bench, urb
     )
     states = {}
     for topic, bag_message, _ in drive:
-        list(core.add_reading(to_reading(topic.type_name, bag_message)))
+        list(core.add_readings([to_reading(topic.type_name, bag_message)]))
         states[core.account.state.stamp_ns] = core.account.state
     estimator, heard = node("estimator", wait_for_update=True), bench.heard
     with started(*estimator) as first, started(*node("energy")) as second:

@@ -157,6 +157,7 @@ class EstimatorStatus:
         trust: of each parameter.
         seen: samples learned from, by speed and acceleration.
         band_coverage: share of recent samples inside the 90 % band, by kind of prediction.
+        newest_ns: stamp of the newest speed, None before the first.
         unknown: optional inputs without data (see `Road.unknown`).
         stuck: name of the signal that repeats one value (see `signals.stuck`), or None.
         lag: of speed to battery, None while unknown.
@@ -170,6 +171,7 @@ class EstimatorStatus:
     accepted: int
     rejected: Mapping[str, int]
     durations: tuple[float, ...]
+    newest_ns: int | None
     unknown: tuple[str, ...] = ()
     report: LearnerReport = field(default_factory=LearnerReport)
     progress: Mapping[str, float] = field(default_factory=dict)
@@ -691,6 +693,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             accepted=self._accepted,
             rejected=dict(self._rejected),
             durations=tuple(self._worker.durations),
+            newest_ns=self._newest.newest_ns,
             unknown=self._stream.unknown,
             report=self.detections(),
             progress={name: p.progress for name, p in parameters.items()},
