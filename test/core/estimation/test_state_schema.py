@@ -171,7 +171,7 @@ def test_no_place_takes_what_is_not_declared(restored, states, place):
 
 
 @every_place
-@settings(max_examples=10, deadline=None, suppress_health_check=[*HealthCheck])
+@settings(max_examples=5, deadline=None, suppress_health_check=[*HealthCheck])
 @given(data=st.data())
 def test_whatever_is_saved_in_a_place_is_saved_again(new, states, place, data):
     """A field that an owner does not take, or does not save, fails it."""
