@@ -129,7 +129,7 @@ def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> s
     alike = correlation(ranks[0], ranks[1])  # robust against glitches
     if abs(alike) > ALIKE or _sag(cells["current"], cells["voltage"]) != 0.0:
         return ""
-    return f"about {middle:.3g} V whatever the current, not that of the traction battery"
+    return f"about {_figures(middle)} V whatever the current, not that of the traction battery"
 
 
 def _with_sign(
@@ -202,20 +202,25 @@ def wrapped_at(numbers: FloatArray, spans: Sequence[float] = SPANS) -> float:
 def _voltage_unit(column: Column, values: FloatArray) -> Column:
     middle = float(np.median(values)) if values.size else 0.0
     text = "mv" if middle > HIGHEST else "v"
-    return column.in_unit(text, f"by its values, about {middle:.3g}")
+    return column.in_unit(text, f"by its values, about {_figures(middle)}")
 
 
 def _current_unit(column: Column, values: FloatArray) -> Column:
     largest = _largest(values)
     text = "ma" if largest > HEAVIEST else "a"
-    return column.in_unit(text, f"by its values, up to {largest:.3g}")
+    return column.in_unit(text, f"by its values, up to {_figures(largest)}")
 
 
 def _power_unit(column: Column, values: FloatArray) -> Column:
     largest = _largest(values)
     text = "kw" if 0 < largest < WEAKEST else "w"
-    column = column.in_unit(text, f"by its values, up to {largest:.3g}")
+    column = column.in_unit(text, f"by its values, up to {_figures(largest)}")
     return column.guessed(("w",)) if STRONG < largest < WEAKEST else column
+
+
+def _figures(number: float) -> str:
+    """Three figures, without an exponent below a million."""
+    return f"{float(f'{number:.3g}'):g}"
 
 
 def _largest(values: FloatArray) -> float:
