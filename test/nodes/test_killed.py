@@ -26,7 +26,7 @@ NEVER_FALL = ("lifetime_drawn", "lifetime_regenerated")
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("least", [-2e4, 0.0])
 @pytest.mark.parametrize(
-    "lives", [pytest.param(4, marks=pytest.mark.slow), pytest.param(40, marks=pytest.mark.nightly)]
+    "lives", [pytest.param(3, marks=pytest.mark.slow), pytest.param(40, marks=pytest.mark.nightly)]
 )
 def test_nothing_shown_is_taken_back_and_what_was_missed_is_in_sigma(
     bench, tmp_path, lives, least

@@ -38,8 +38,8 @@ def recorded(tmp_path_factory):
 
 
 def write_long_drive(path):
-    """A day of driving, which takes a minute to learn; the cars before it, tenths of a second."""
-    seconds = np.arange(0.0, 86_400.0, 0.1)
+    """A day of driving, which takes long to learn; the cars before it, tenths of a second."""
+    seconds = np.arange(0.0, 86_400.0, 0.5)
     speed = 15.0 + 10.0 * np.sin(seconds / 20.0)
     columns = seconds, speed, np.full_like(speed, 360.0), 20.0 + speed
     header = "t_s,speed_mps,voltage_v,current_a"
