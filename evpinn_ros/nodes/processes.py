@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+import fcntl
+from functools import cache
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import rclpy
@@ -19,7 +22,7 @@ from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.stopping import STOPS
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.nodes.discovery import announce_often
+from evpinn_ros.nodes.discovery import LOOPBACK, set_profile
 from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import read_named_vector
@@ -29,7 +32,9 @@ START_TIMEOUT = 60.0  # s for the nodes to start on a busy machine
 OUTPUT_TIMEOUT = 15.0  # s without any prediction, after which a node counts as dead
 STOP_TIMEOUT = 10.0  # s for a node to save and end
 SPIN = 0.2  # s
-FIRST_DOMAIN, DOMAINS = 82, 20  # all below 102, which every platform allows; tests use lower ones
+FAST_DDS = "rmw_fastrtps_cpp"
+DOMAINS = range(82, 102)
+"""ROS domains of these runs; every platform allows them, and tests use lower ones."""
 
 
 def record_through_nodes(
@@ -68,11 +73,36 @@ def record_through_nodes(
         rclpy.try_shutdown()
 
 
-def own_network() -> None:
-    """Isolate this process and its children, before ROS starts, from nodes of a real car."""
-    announce_often()
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ["ROS_DOMAIN_ID"] = str(FIRST_DOMAIN + os.getpid() % DOMAINS)
+def own_network(domains: range = DOMAINS) -> None:
+    """Isolate this process and its children, before ROS starts, from all other nodes.
+
+    Raises:
+        InputError: other processes have taken all these ROS domains.
+    """
+    fast_dds = rclpy.get_rmw_implementation_identifier() == FAST_DDS
+    found_by = "SYSTEM_DEFAULT" if fast_dds and set_profile(LOOPBACK) else "LOCALHOST"
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = found_by
+    os.environ["ROS_DOMAIN_ID"] = str(_own_domain(domains))
+
+
+@cache
+def _own_domain(domains: range) -> int:
+    """The first ROS domain that no other process here has, until this process ends."""
+    taken = set(_domains_in_use())
+    for domain in (domain for domain in domains if domain not in taken):
+        lock = Path(tempfile.gettempdir(), f"evpinn_test_domain_{domain}")
+        with suppress(OSError):  # locked, or another user's
+            fcntl.flock(os.open(lock, os.O_CREAT | os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return domain
+    raise InputError(f"no ROS domain of {domains.start} to {domains.stop - 1} is free")
+
+
+def _domains_in_use() -> Iterator[int]:
+    """ROS domains of processes, as of nodes that outlived who had the lock."""
+    for path in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError, ValueError):  # ended, or another user's
+            _, _, text = path.read_bytes().partition(b"ROS_DOMAIN_ID=")
+            yield int(text.partition(b"\0")[0])
 
 
 class _Watch:

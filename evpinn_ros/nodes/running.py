@@ -25,7 +25,7 @@ from rclpy.utilities import try_shutdown
 from evpinn_ros.common.errors import InputError, printable
 from evpinn_ros.common.stopping import at_stop
 from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.discovery import announce_often
+from evpinn_ros.nodes.discovery import set_profile
 
 SWITCH_INTERVAL = 5e-4
 """s for which a thread may hold the interpreter while another waits: the bridge after each system
@@ -78,7 +78,7 @@ def run(
 def _run(makers: Sequence[MakeNode], args: list[str] | None, signals: Sequence[int]) -> int:
     sys.setswitchinterval(SWITCH_INTERVAL)
     load_no_generator()
-    announce_often()
+    set_profile()
     # In Jazzy `rclpy.init` is not a context manager yet.
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)

@@ -2,14 +2,11 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
-import fcntl
 from functools import partial
 import os
 from pathlib import Path
 import subprocess
 import sys
-import tempfile
 import time
 from typing import Any
 from unittest import mock
@@ -24,10 +21,10 @@ from evpinn_ros.bags.types import decode
 from evpinn_ros.core.signals.readings import BatteryReading, Reading, SpeedReading
 from evpinn_ros.nodes import factory
 from evpinn_ros.nodes.base import GuardedNode
-from evpinn_ros.nodes.discovery import announce_often
 from evpinn_ros.nodes.energy import EnergyNode
 from evpinn_ros.nodes.estimator import EstimatorNode
 from evpinn_ros.nodes.parameters import overrides
+from evpinn_ros.nodes.processes import own_network
 from evpinn_ros.nodes.running import new_executor
 from evpinn_ros.topics import (
     BATTERY,
@@ -47,20 +44,8 @@ from test.waiting import HANG_S, wait_until
 pytestmark = pytest.mark.ros
 
 
-def _own_domain() -> int:
-    """A ROS domain that no other worker or run of the tests here has, until this process ends."""
-    for domain in range(2, 82):
-        lock = Path(tempfile.gettempdir(), f"evpinn_test_domain_{domain}")
-        with suppress(OSError):  # locked, or another user's
-            fcntl.flock(os.open(lock, os.O_CREAT | os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return domain
-    raise RuntimeError("no ROS domain is free for the tests")
-
-
 # All of this is read when ROS starts or the first message class is loaded, later than here.
-os.environ["ROS_DOMAIN_ID"] = str(_own_domain())
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-announce_often()
+own_network(range(2, 82))
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -2,10 +2,14 @@
 
 import os
 from pathlib import Path
+import sys
 
 import pytest
 
-from evpinn_ros.nodes.discovery import FOUND_HERE, PROFILES, THEIRS, announce_often
+from evpinn_ros.common.errors import InputError
+from evpinn_ros.nodes.discovery import FOUND_HERE, PROFILES, THEIRS, set_profile
+from evpinn_ros.nodes.processes import own_network
+from test.nodes.processes import started
 
 
 @pytest.fixture
@@ -17,7 +21,7 @@ def nothing_set(monkeypatch, tmp_path):
 
 
 def test_fast_dds_gets_our_profile(nothing_set):
-    announce_often()
+    assert set_profile() and set_profile()
     path = Path(os.environ[PROFILES])
     assert path.name == "fastdds.xml" and path.is_file()
 
@@ -25,12 +29,28 @@ def test_fast_dds_gets_our_profile(nothing_set):
 @pytest.mark.parametrize("name", THEIRS)
 def test_a_profile_of_the_user_stays(nothing_set, name):
     nothing_set.setenv(name, "mine.xml")
-    announce_often()
+    assert not set_profile()
     assert os.environ[name] == "mine.xml"
     assert os.environ.get(PROFILES, "mine.xml") == "mine.xml"
 
 
 def test_a_profile_in_the_working_folder_stays(nothing_set):
     Path(FOUND_HERE).touch()
-    announce_often()
+    assert not set_profile()
     assert PROFILES not in os.environ
+
+
+def test_nodes_of_tests_use_no_shared_memory(bench):
+    """As ours in a car: a process that is killed there can leave others deaf."""
+    assert bench.node.get_node_names()
+    assert "/dev/shm/fastdds" not in Path("/proc/self/maps").read_text()
+
+
+def test_nobody_gets_the_domain_of_nodes_that_were_left_behind(monkeypatch):
+    monkeypatch.setattr(os, "environ", dict(os.environ))
+    left = {**os.environ, "ROS_DOMAIN_ID": "201"}
+    with started(sys.executable, "-c", "input()", env=left, stdin=-1):
+        with pytest.raises(InputError, match="no ROS domain of 201 to 201 is free"):
+            own_network(range(201, 202))
+        own_network(range(201, 203))
+        assert os.environ["ROS_DOMAIN_ID"] == "202"

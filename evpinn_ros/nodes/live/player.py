@@ -14,7 +14,7 @@ from evpinn_ros.bags.reader import BagReader
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.stopping import stopped_by
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.nodes.discovery import announce_often
+from evpinn_ros.nodes.discovery import set_profile
 from evpinn_ros.nodes.factory import is_installed, message_class, qos_profile
 from evpinn_ros.nodes.live.data import NODES
 from evpinn_ros.topics import QUEUE_DEPTH, Qos
@@ -38,7 +38,7 @@ def play(reader: BagReader, rate: float, loop: bool, note: Callable[[str], None]
     if not types:
         raise InputError(f"{reader.path}: holds no messages that can be shown")
     signals: list[int] = []
-    announce_often()
+    set_profile()
     with stopped_by(lambda number, _: signals.append(number)):
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
