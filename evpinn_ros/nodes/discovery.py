@@ -10,19 +10,15 @@ from evpinn_ros.common.package_data import share_directory
 PROFILES = "FASTDDS_DEFAULT_PROFILES_FILE"
 THEIRS = (PROFILES, "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
 FOUND_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # Fast DDS reads it from the working folder
-FOR_A_CAR, LOOPBACK = "fastdds.xml", "fastdds_loopback.xml"
 
 
-def set_profile(name: str = FOR_A_CAR) -> bool:
-    """Have Fast DDS read a file of `config`, in this process and its children; True if it does.
+def set_profile() -> None:
+    """Have Fast DDS read `config/fastdds.xml`, in this process and its children.
 
     Each process announces itself every 0.2 s, not 3 s: otherwise nodes that start one after the
     other miss each other in one of three starts. All messages go by UDP, none through shared
     memory, where a killed or starved process can leave others deaf (docs/project/upstream.md).
     Call it before ROS starts; it does not change a user's profiles or other middleware.
     """
-    path = str(share_directory() / "config" / name)
-    free = not any(os.environ.get(their) for their in THEIRS) and not Path(FOUND_HERE).exists()
-    if free:
-        os.environ[PROFILES] = path
-    return os.environ.get(PROFILES) == path
+    if not any(os.environ.get(their) for their in THEIRS) and not Path(FOUND_HERE).exists():
+        os.environ[PROFILES] = str(share_directory() / "config" / "fastdds.xml")

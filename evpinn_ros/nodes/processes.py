@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-import fcntl
 from functools import cache
 import os
 from pathlib import Path
@@ -21,8 +20,9 @@ from rclpy.signals import SignalHandlerOptions
 from evpinn_ros import topics
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.stopping import STOPS
+from evpinn_ros.common.writer import Held
 from evpinn_ros.core.signals.readings import NANOSECONDS
-from evpinn_ros.nodes.discovery import LOOPBACK, set_profile
+from evpinn_ros.nodes.discovery import set_profile
 from evpinn_ros.nodes.recorder import RecorderNode
 from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.messages import read_named_vector
@@ -32,7 +32,6 @@ START_TIMEOUT = 60.0  # s for the nodes to start on a busy machine
 OUTPUT_TIMEOUT = 15.0  # s without any prediction, after which a node counts as dead
 STOP_TIMEOUT = 10.0  # s for a node to save and end
 SPIN = 0.2  # s
-FAST_DDS = "rmw_fastrtps_cpp"
 DOMAINS = range(82, 102)
 """ROS domains of these runs; every platform allows them, and tests use lower ones."""
 
@@ -79,21 +78,19 @@ def own_network(domains: range = DOMAINS) -> None:
     Raises:
         InputError: other processes have taken all these ROS domains.
     """
-    fast_dds = rclpy.get_rmw_implementation_identifier() == FAST_DDS
-    found_by = "SYSTEM_DEFAULT" if fast_dds and set_profile(LOOPBACK) else "LOCALHOST"
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = found_by
-    os.environ["ROS_DOMAIN_ID"] = str(_own_domain(domains))
+    set_profile()
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_DOMAIN_ID"] = str(_own_domain(domains)[0])
 
 
 @cache
-def _own_domain(domains: range) -> int:
-    """The first ROS domain that no other process here has, until this process ends."""
+def _own_domain(domains: range) -> tuple[int, Held]:
+    """The first ROS domain that no other process here has, and its lock until this one ends."""
     taken = set(_domains_in_use())
     for domain in (domain for domain in domains if domain not in taken):
-        lock = Path(tempfile.gettempdir(), f"evpinn_test_domain_{domain}")
-        with suppress(OSError):  # locked, or another user's
-            fcntl.flock(os.open(lock, os.O_CREAT | os.O_RDWR), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return domain
+        lock = Path(tempfile.gettempdir(), f"evpinn_ros_domain_{domain}")
+        with suppress(InputError, OSError):  # held, or another user's
+            return domain, Held(lock, f"ROS domain {domain} is taken")
     raise InputError(f"no ROS domain of {domains.start} to {domains.stop - 1} is free")
 
 

@@ -254,7 +254,7 @@ def test_no_output_is_written_over_an_input_or_another(tmp_path):
 
 
 TRACE_ME, TO_SYSTEM_CALL, DIE_WITH_PARENT = 0, 24, 1  # of ptrace, and of prctl
-STOPS = 140  # a save has some 65 system calls, with a stop before and behind each
+STOPS = 200  # a save has some 70 system calls, with a stop before and behind each
 
 
 def in_child(function):
@@ -297,7 +297,7 @@ def saved(path):
 @pytest.mark.timeout(3600)
 @pytest.mark.skipif(sys.platform != "linux", reason="traces system calls")
 @pytest.mark.parametrize(
-    "kills", [range(0, STOPS, 7), pytest.param(range(10_000), marks=pytest.mark.nightly)], ids=len
+    "kills", [range(0, STOPS, 10), pytest.param(range(10_000), marks=pytest.mark.nightly)], ids=len
 )
 def test_a_kill_at_each_system_call_of_a_save_loses_nothing_of_two_writers(tmp_path, kills):
     """One of two is killed at each of its stops while the other waits."""
