@@ -74,6 +74,7 @@ def test_files_and_errors_are_as_ever(tmp_path):
 BESIDES = {  # what may open by itself, and why
     "evpinn_ros/common/opener.py": "the opener",
     "evpinn_ros/common/sandbox.py": "the limits of its own process, of /proc",
+    "evpinn_ros/nodes/processes.py": "environments of processes, of /proc",
     "evpinn_ros/common/writer.py": "folders, to lock and to sync",
     "evpinn_ros/core/energy/rknn.py": "weights of the package",
     "evpinn_ros/common/package_data.py": "tables of the package",
