@@ -41,7 +41,8 @@ RIGHT = (85, 95)  # % of intervals that hold: as many as they promise
 def taken(commit: str, files: Sequence[Path]) -> dict[str, Any]:
     """The contents of unseen.json with what files that were written on one commit score.
 
-    A method that no file scores keeps its error, and the row names the commit of that too.
+    A method that no file scores keeps its error, and the row names the commit of that too, the
+    oldest if there are several.
     """
     rows = {row["car, log"]: row for row in cars()}
     for file in files:
@@ -49,7 +50,8 @@ def taken(commit: str, files: Sequence[Path]) -> dict[str, Any]:
             methods, row = scored["methods"], rows[CARS[key]]
             left = ", ".join(name for name, method in METHODS.items() if method not in methods)
             row["drives"] = scored["drives"]
-            row["commit"] = f"{commit}; {left}: {row['commit']}" if left else commit
+            before = row["commit"].rpartition(": ")[2]  # of what was measured longest ago
+            row["commit"] = f"{commit}; {left}: {before}" if left else commit
             for name, method in METHODS.items():
                 if method in methods:
                     row[name] = round(methods[method]["carried"]["net_median_percent"], 1)
