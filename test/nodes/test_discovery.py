@@ -42,9 +42,10 @@ def test_a_profile_in_the_working_folder_stays(nothing_set):
 
 def test_nobody_gets_the_domain_of_nodes_that_were_left_behind(monkeypatch):
     monkeypatch.setattr(os, "environ", dict(os.environ))
-    left = {**os.environ, "ROS_DOMAIN_ID": "201"}
+    first = 10 * os.getpid()  # of no other run of this test, for which the second stays taken
+    left = {**os.environ, "ROS_DOMAIN_ID": f"{first}"}
     with started(sys.executable, "-c", "input()", env=left, stdin=-1):
-        with pytest.raises(InputError, match="no ROS domain of 201 to 201 is free"):
-            own_network(range(201, 202))
-        own_network(range(201, 203))
-        assert os.environ["ROS_DOMAIN_ID"] == "202"
+        with pytest.raises(InputError, match=f"no ROS domain of {first} to {first} is free"):
+            own_network(range(first, first + 1))
+        own_network(range(first, first + 2))
+        assert os.environ["ROS_DOMAIN_ID"] == f"{first + 1}"
