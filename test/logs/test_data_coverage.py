@@ -176,5 +176,6 @@ def test_a_can_log_and_a_bag_of_its_frames(tmp_path):
                 writer.write_raw(f"/ev/{FRAMES_TOPIC}", FRAME_TYPE, data, frame.stamp_ns)
     for path in (log, tmp_path / "bag"):
         described = contents(path)
-        assert (described.profile, described.vehicles) == ("nissan_leaf", ("nissan_leaf",))
+        leafs = ("nissan_leaf", "nissan_leaf_24_kwh", "nissan_leaf_30_kwh")
+        assert (described.profile, described.vehicles) == ("nissan_leaf", leafs)
         assert described.drive.seconds == pytest.approx(19, abs=0.5)
