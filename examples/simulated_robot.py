@@ -146,6 +146,9 @@ def run_node(seed: int, arguments: list[str]) -> None:
         rclpy.spin(Robot())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RuntimeError:  # of rclpy, where the shutdown comes in the middle of its turn
+        if rclpy.ok():
+            raise
     finally:
         rclpy.try_shutdown()
 
