@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 EVENT = 0.3  # m/s^2 from which on a car accelerates or brakes
 LEAST_EVENTS = 20  # moments of accelerating, and of braking, needed to judge a sign
-LONGEST_STEP = 10.0  # s between two speeds that still give an acceleration
+# s between two speeds that still give an acceleration: 10 s, by stamps that may be rounded to 4
+# decimals of a minute or to 5 of an hour.
+LONGEST_STEP = 10.05
 EARTH = 6_371_000.0  # m
 LEAST_WAY = 1e-9  # in any unit
 HARDEST, LEAST_LEAP, LONGEST_LEAP = 4.0, 1.0, 3.0  # m/s^2, m/s, s

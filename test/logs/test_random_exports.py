@@ -57,3 +57,9 @@ def test_no_export_is_read_wrong_in_silence(tmp_path, block):
     assert verdicts["doubted wrongly"] <= MOST_DOUBTED_WRONGLY * BLOCK, examples["doubted wrongly"]
     told = BLOCK - sum(count for word, count in verdicts.items() if word.endswith("by a person"))
     assert verdicts["right"] > LEAST_RIGHT * told, verdicts
+
+
+@pytest.mark.parametrize("seed", [4756])
+def test_an_export_that_was_read_wrong_once_is_read_right(tmp_path, seed):
+    """4756: a hole of 80 s is filled with lines, and 10.00002 s long where a cell is missing."""
+    assert verdict(tmp_path, random_export(seed)) == "right"
