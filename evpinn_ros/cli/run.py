@@ -41,6 +41,7 @@ from evpinn_ros.core.estimation.estimator import Mode
 from evpinn_ros.core.estimation.state_file import account_path
 from evpinn_ros.core.vehicle.files import load_vehicle
 from evpinn_ros.nodes.saved_state import state_path
+from evpinn_ros.topics import BATTERY, SPEEDS
 from evpinn_ros.topics.node_parameters import Value
 from evpinn_ros.topics.parameter_file import read_parameter_file
 
@@ -120,7 +121,7 @@ def _holds_readings(bag: Path) -> bool:
         )
 
 
-REPLAYED = ("vehicle/speed", "battery/state", "odom", FRAMES_TOPIC)
+REPLAYED = *(topic.name for topic in (*SPEEDS, BATTERY)), FRAMES_TOPIC
 BRIEF_S = 5.0  # nodes that end sooner failed, and have logged why
 
 

@@ -53,7 +53,7 @@ CAR_SHARE = np.array([0.15, 0.5, 0.4, 0.35, 6.0])  # 3 kW of heating, say
 CAR_STD = 0.28  # of the logarithm of its size
 # Of robots, three-wheelers, trucks and buses; the wings of race cars of 300 kg drag like vans.
 ANY_SHARE = np.array([0.3, 1.0, 0.8, 2.0, 1.5])
-DRAG = 3
+DRAG, TERMS = 3, len(ANY_SHARE)
 MOST_ENERGY = 1e12  # J of an interval
 VOLTAGE, VOLTAGE_POWER, VOLTAGE_STD, CAR_VOLTAGE_STD = 360.0, 0.5, 0.6, 0.3  # std of logarithms
 
@@ -82,12 +82,12 @@ class Intervals(NamedTuple):
     """Intervals of one drive or more.
 
     Attributes:
-        rows: terms, shape (n, 5).
+        rows: terms, shape (n, `TERMS`).
         energy: of the battery, J, shape (n,).
         volts: median voltage, NaN without.
     """
 
-    rows: Annotated[np.ndarray, Range(0.0, MOST_ENERGY, shape=(None, 5))]
+    rows: Annotated[np.ndarray, Range(0.0, MOST_ENERGY, shape=(None, TERMS))]
     energy: Annotated[np.ndarray, Range(-MOST_ENERGY, MOST_ENERGY)]
     volts: Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY, unknown=True)]
 
@@ -115,7 +115,7 @@ class Sizing:
         if earlier is not None:
             if len(earlier.rows) != len(earlier.energy):
                 raise ValueError("intervals for the size: an energy is missing")
-            self._earlier.append(earlier._replace(rows=earlier.rows.reshape(-1, 5)))
+            self._earlier.append(earlier._replace(rows=earlier.rows.reshape(-1, TERMS)))
         self._begin()
 
     def _begin(self) -> None:
@@ -212,7 +212,7 @@ def _normal(value: Any, mean: Any, std: float) -> Any:
 
 
 def _intervals(readings: Block) -> Intervals:
-    nothing = Intervals(np.empty((0, 5)), np.empty(0), math.nan)
+    nothing = Intervals(np.empty((0, TERMS)), np.empty(0), math.nan)
     speeds, battery = readings.of_kind(SpeedReading), readings.of_kind(BatteryReading)
     altitudes = readings.of_kind(AltitudeReading)
     speed = np.column_stack((speeds.stamps, np.abs(speeds.values[0])))

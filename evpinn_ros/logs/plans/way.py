@@ -46,28 +46,28 @@ class Heights(NamedTuple):
     height: np.ndarray
 
     @property
-    def known(self) -> np.ndarray:
+    def usable(self) -> np.ndarray:
         """True where the height is of a road: marks for voids are none, nor are zeros alone."""
         on_earth = possible_heights(self.height)
         return np.asarray(on_earth & self.height[on_earth].any())
 
     def climbs(self, distance: np.ndarray) -> np.ndarray | None:
         """Smoothed climb, m, from each of n distances to the next; NaN or None if unknown."""
-        known = self.known
-        if known.sum() < 2:
+        usable = self.usable
+        if usable.sum() < 2:
             return None
-        along = np.clip(self.along[known], 0.0, FARTHEST)
+        along = np.clip(self.along[usable], 0.0, FARTHEST)
         middle = (distance[1:] + distance[:-1]) / 2
-        height = plausible_heights(along, self.height[known])
+        height = plausible_heights(along, self.height[usable])
         places = np.append(np.arange(0.0, distance[-1], HEIGHT_STEP), distance[-1])
         climb = np.diff(np.interp(distance, places, road_height(along, height, places)))
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
 
     def warn(self) -> None:
         """Warn of what the heights leave open."""
-        known = self.known
-        count, unknown = len(known), int((~known).sum())
-        if known.sum() > 1 and np.ptp(self.height[known]) == 0.0:
+        usable = self.usable
+        count, unknown = len(usable), int((~usable).sum())
+        if usable.sum() > 1 and np.ptp(self.height[usable]) == 0.0:
             warnings.warn(LEVEL, stacklevel=3)
         if 0 < unknown < count:
             text = f"elevation: unknown at {unknown} of {count} places"
@@ -78,10 +78,10 @@ class Heights(NamedTuple):
 
         In order; empty if no heights are known.
         """
-        known = self.known
-        if known.sum() < 2:
+        usable = self.usable
+        if usable.sum() < 2:
             return np.empty(0)
-        ends: np.ndarray = self.along[known][[0, -1]]
+        ends: np.ndarray = self.along[usable][[0, -1]]
         whole = float(self.along[-1])
         if not whole < most * HEIGHT_STEP:
             return ends
