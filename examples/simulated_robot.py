@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import csv
 from dataclasses import dataclass
 import math
+import os
 from pathlib import Path
 import random
 import sys
@@ -168,4 +169,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_code = main()
+    sys.stdout.flush()
+    # Without taking its publishers to pieces: Fast DDS may hang there for ever while others leave.
+    os._exit(exit_code)
