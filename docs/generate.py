@@ -313,6 +313,7 @@ def detectors_page() -> str:
 def commands_page() -> str:
     """Every command: help, examples, arguments and options."""
     lines = [MADE, "# Commands", "", SHELL, "## Options of several commands", ""]
+    lines += ["Each command names those it takes after *And*.", ""]
     shared = {option.opts[-1]: line for option, line in _shared_options()}
     lines += [line for _, line in sorted(shared.items())]
     for path, command in _commands(typer.main.get_command(app), "evpinn"):
@@ -426,7 +427,7 @@ def _command_section(path: str, command: Any) -> Iterator[str]:
     if lines:
         yield from ("", *lines)
     if shared:
-        yield from ("", f"And {', '.join(shared)} ([options](#options-of-several-commands)).")
+        yield from ("", f"And {', '.join(shared)}.")
 
 
 def _option_line(names: list[str], declared: inspect.Parameter) -> str:
