@@ -222,17 +222,23 @@ def test_several_inputs_give_drives_and_a_folder_though_they_are_one_drive(evpin
 def test_files_of_one_app_are_explained_once_and_their_pace_is_that_between_pauses(
     evpinn, tmp_path
 ):
-    """Reasons hold figures of each file, here the medians of its temperature."""
-    for name, celsius in (("a", 75), ("b", 80)):
+    """Reasons hold figures of each file, here the medians of its temperature.
+
+    The third is of another app: its voltages are in mV.
+    """
+    apps = (("a", 75, " (V)", 1), ("b", 80, " (V)", 1), ("c", 75, "", 1000))
+    for name, celsius, unit, factor in apps:
         (tmp_path / f"{name}.csv").write_text(
-            "time (s),Speed (km/h),Voltage (V),Current (A),Ambient\n"
+            f"time (s),Speed (km/h),Voltage{unit},Current (A),Ambient\n"
             + "".join(
-                f"{5 * i + 2000 * (i > 60)},{i % 90},{360 - i % 7},{i % 50 - 9},{celsius}\n"
+                f"{5 * i + 2000 * (i > 60)},{i % 90},"
+                f"{(360 - i % 7) * factor},{i % 50 - 9},{celsius}\n"
                 for i in range(120)
             )
         )
-    ended = evpinn("replay", "a.csv", "b.csv", "--vehicle", "bmw_i3", "--whole", cwd=tmp_path)
-    assert ended.stderr.count("too hot for °C") == ended.stderr.count("1 file like it") == 1
+    names = ("a.csv", "b.csv", "c.csv")
+    said = evpinn("replay", *names, "--vehicle", "bmw_i3", "--whole", cwd=tmp_path).stderr
+    assert (said.count("too hot for °C"), said.count("1 file like it")) == (2, 1)
     assert (
         "speed: 120 readings, one every 5.0 s, longest gap 2005.00 s"
         in evpinn("info", "a.csv", cwd=tmp_path).stdout

@@ -101,6 +101,17 @@ def test_more_power_than_there_is_and_an_empty_battery_give_finite_ends(learned)
     assert not model.after(endless, Uncertain(0.5, 0.0), UNKNOWN).charge.known
 
 
+@pytest.mark.parametrize(
+    ("start", "ends"), [(0.9, [0.9, 1.0, 0.8]), (0.2, [0.2, -0.1, 0.0])], ids=["full", "empty"]
+)
+def test_a_full_battery_takes_nothing_back_and_an_empty_one_reaches_no_descent(start, ends):
+    full, descent, climb = 1e8, -0.2e8, 0.3e8  # J
+    way = {0.9: [0.0, descent, 0.0], 0.2: [0.0, climb, climb + descent]}[start]
+    plan_of = Forecast(np.arange(3.0), np.array(way), np.zeros(3), np.zeros(3))
+    charge, _ = BatteryModel(math.nan).along(plan_of, Uncertain(start, 0.0), Uncertain(full, 0.0))
+    assert charge == pytest.approx(ends)
+
+
 @pytest.mark.parametrize("wrong", [(1e308, -20.0), (math.nan, -20.0), (370.0, -1e9), (0.0, 0.0)])
 def test_readings_of_no_battery_change_nothing(wrong):
     model, sound = BatteryModel(CAPACITY), BatteryModel(CAPACITY)

@@ -60,6 +60,15 @@ def test_even_legs_keep_way_and_time_and_begin_and_end_standing():
     assert 0.3 * whole < even @ EQUATION.mean < whole  # even is cheaper, not free
 
 
+def test_where_the_road_goes_on_the_last_speed_is_kept():
+    speed = np.repeat([0.0, 10.0, 20.0], 100)
+    legs = path_of(speed).legs(np.arange(299) // 100)
+    ended, onward = (even_course(legs, onward=on).steps for on in (False, True))
+    assert ended.kinetic.sum() == pytest.approx(0.0)
+    last = legs.distance[-1] / legs.duration[-1]
+    assert onward.kinetic.sum() == pytest.approx(last**2 / 2.0)
+
+
 def test_a_drive_that_was_driven_before_is_expected_as_it_was():
     path = town(0, 1800.0)
     driven = rows_of(path) @ EQUATION.mean
