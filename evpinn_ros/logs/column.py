@@ -13,6 +13,7 @@ from evpinn_ros.common.errors import InputError, near_names
 from evpinn_ros.logs.apps import app_of
 from evpinn_ros.logs.quantities import (
     BACK,
+    BRAKED,
     BY_COLUMN,
     NEEDED,
     QUANTITIES,
@@ -188,10 +189,11 @@ def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
         return None
     names = [words_of(name) for name in header]
     words, brackets = names[place]
-    for drawn, back in product(DRAWN, BACK):
-        other = words.replace(f" {drawn} ", f" {back} "), brackets
-        if other[0] != words and other in names:
-            return names.index(other)
+    opposites = {words.replace(f" {drawn} ", f" {back} ") for drawn, back in product(DRAWN, BACK)}
+    for i, (other, unit) in enumerate(names):
+        drawn = {other.replace(f" {back} ", " ") for back in BRAKED}
+        if unit == brackets and other != words and (words in drawn or other in opposites):
+            return i
     return None
 
 

@@ -87,11 +87,12 @@ _OTHERS = (
 _NO_PLACE = "accuracy,error,acceleration,accel,acc,g,force,rate,term,trim,fuel,speed,time"
 # Words for a voltage that the app computed from the measured one, or that of a battery at rest.
 _COMPUTED = "corrected,compensated,open circuit,ocv,estimated,filtered,smoothed,nominal,simulated"
-# Words for returned energy, the opposites of those for drawn energy.
-BACK = (
-    *("charge", "charging", "charged", "regen", "regenerated", "regenerative", "regeneration"),
-    *("recuperation", "recuperated", "returned", "in", "input"),
+# Words for energy that braking returns, and all opposites of those for drawn energy.
+BRAKED = (
+    *("regen", "regenerated", "regenerative", "regeneration", "recuperation", "recuperated"),
+    "returned",
 )
+BACK = (*BRAKED, "charge", "charging", "charged", "in", "input")
 _CHARGED = "," + ",".join(BACK)
 _NO_POWER = "temperature,temp,current,voltage,signal,request,coolant,inlet,outlet,comp"
 

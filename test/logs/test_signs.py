@@ -138,23 +138,30 @@ def test_a_charging_current_of_its_own_counts_against_the_other(tmp_path, names,
     assert f"{pair[1]!r} is assumed to flow back, and counts against it" in " ".join(source.notes)
 
 
-def test_a_charging_power_of_its_own_counts_too(tmp_path):
+@pytest.mark.parametrize(
+    "names", ["Battery discharge power (W),Battery charge power (W)", "Power (W),Regen Power (W)"]
+)
+def test_a_charging_power_of_its_own_counts_too(tmp_path, names):
     def line(t, v, u, i, *_):
         return f"{date(t)},{3.6 * v:.2f},{max(u * i, 0.0):.0f},{max(-u * i, 0.0):.0f}"
 
-    header = "time,Speed (km/h),Battery discharge power (W),Battery charge power (W)"
+    header = f"time,Speed (km/h),{names}"
     source = opened(tmp_path, table(header, DRIVE, line))
     assert measured(source) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
 
 
-def test_a_column_of_both_signs_has_none_that_flows_back(tmp_path):
+@pytest.mark.parametrize(
+    ("drawn", "back"),
+    [("Discharge Current (A)", "Charge Current (A)"), ("Current (A)", "Regen Current (A)")],
+)
+def test_a_column_of_both_signs_has_none_that_flows_back(tmp_path, drawn, back):
     def line(t, v, u, i, *_):
-        return f"{date(t)},{3.6 * v:.2f},{u:.2f},{i:.2f},{-i:.2f}"
+        return f"{date(t)},{3.6 * v:.2f},{u:.2f},{i:.2f},{max(-i, 0.0):.2f}"
 
-    header = "time,Speed (km/h),Voltage (V),Discharge Current (A),Charge Current (A)"
+    header = f"time,Speed (km/h),Voltage (V),{drawn},{back}"
     source = opened(tmp_path, table(header, DRIVE, line))
     assert measured(source)[1] == pytest.approx(DRIVE.energy, rel=0.01)
-    assert "Charge Current (A)" in source.ignored
+    assert back in source.ignored
 
 
 HEADERS = {
