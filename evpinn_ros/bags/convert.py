@@ -43,7 +43,7 @@ def write_readings(
 
 
 class NoTopicsError(InputError):
-    """The bag has none of our topics."""
+    """The bag has none of the input topics."""
 
 
 class BagReadings:
@@ -75,6 +75,7 @@ class BagReadings:
             raise NoTopicsError(f"{reader.path}: has none of the topics {wanted}{near}")
 
     def __iter__(self) -> Iterator[Reading]:
+        """The readings in order of log time; unusable messages are counted in `dropped`."""
         self.dropped.clear()
         charge, batteries = ChargeScale(), Batteries()
         self.doubts = ()
@@ -100,8 +101,8 @@ class BagReadings:
         elif record.type_name == topics.ODOMETRY_TYPE and in_frame_of_map(record.message):
             frame = record.message.header.frame_id
             note = (
-                f"{record.topic}: the speed is in the frame of its pose, {frame!r}, so its size "
-                "counts, in reverse too"
+                f"{record.topic}: the twist is in the frame of the pose, {frame!r}, so its "
+                "magnitude is the speed: driving in reverse counts as forward"
             )
             self.notes = tuple(dict.fromkeys((*self.notes, note)))
 
@@ -110,11 +111,8 @@ def _near_topics(reader: BagReader, missing: Iterable[Topic]) -> Iterator[str]:
     wanted = {topic.name: topic for topic in missing}
     for name, info in reader.topics.items():
         near = near_names("/".join(name.split("/")[-2:]), wanted)
-        topic = next(
-            (topic_wanted for topic_wanted in wanted.values() if topic_wanted.matches(name)), None
-        )
-        if topic is not None:
-            yield f"{name} is {info.type_name}, not {topic.type_name}"
+        if topic := next((topic for topic in wanted.values() if topic.matches(name)), None):
+            yield f"{name} is not read: its type is {info.type_name}, not {topic.type_name}"
         elif near:
             yield f"topic {name} is not known{near}"
 

@@ -31,7 +31,7 @@ MOST_HELD = 64 * MEBIBYTE
 
 
 def zstd_reader(source: bytes | BinaryIO) -> zstandard.ZstdDecompressionReader:
-    """Reader that unpacks; it raises ZstdError for damaged data or too large a window."""
+    """Decompressing reader; it raises ZstdError for damaged data or too large a window."""
     decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_WINDOW)
     return decompressor.stream_reader(source, read_across_frames=True)
 

@@ -1,4 +1,4 @@
-"""One MCAP file in log time order: rosbags reads an intact file; others are read twice."""
+"""Reads an MCAP file in log time order: by rosbags if intact, else in two passes over it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from evpinn_ros.bags.rosbags_file import RosbagsFile
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_file
 
-OVERLAP = "chunks overlap too far: not all is in order of time"
+OVERLAP = "chunks overlap too far, so some messages are not in order of log time"
 QOS, TYPE_HASH = "offered_qos_profiles", "topic_type_hash"  # in the metadata of a channel
 OVERHEAD = 250  # bytes of a Python message besides its data
 
@@ -29,7 +29,7 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         """Find the channels and the messages; InputError if the file is not MCAP."""
         self.path = path
-        self.notes: list[str] = []  # no file beside it belongs to it
+        self.notes: list[str] = []  # always empty: the format has no companion files
         with as_input_error(path):
             self._file = open_file(path)
         self._damage: list[str] = []
@@ -58,7 +58,7 @@ class McapFile:
                 return
             self._indexed.close()
             self._indexed = None
-            self._survey()  # a chunk is damaged: messages before it were read
+            self._survey()  # a chunk is damaged; the messages before it are skipped below
         yield from islice(self._in_order(wanted), read, None)
 
     def close(self) -> None:

@@ -7,5 +7,5 @@ PACKED = ".zstd"
 
 
 def is_bag(path: Path) -> bool:
-    """True if a path looks like a bag: a folder, or a file with a bag's suffix."""
+    """True for any folder, and for a file with a bag's suffix; the content is not read."""
     return path.is_dir() or path.name.removesuffix(PACKED).endswith(BAG_SUFFIXES)

@@ -1,4 +1,4 @@
-"""Reads bags without ROS: rosbag2 folders, `.mcap` and `.db3`, whole, packed or damaged."""
+"""Reads bags without ROS: rosbag2 folders, `.mcap` and `.db3`, also compressed or damaged."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class BagReader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Files beside those of the bag that are not read, and lose no message: a line each."""
+        """A line for each file beside the bag that is not read; no message is lost by it."""
         return tuple(note for file in self._files for note in file.notes)
 
     def records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
@@ -98,7 +98,7 @@ class BagReader:
                 self.dropped["undecodable"] += 1
 
     def raw_records(self, topics: Collection[str] | None = None) -> Iterator[Record]:
-        """Records with messages as CDR bytes, including messages that cannot be decoded."""
+        """`records` with CDR bytes as messages, including those that cannot be decoded."""
         self.dropped.clear()
         streams = [self._raw(file, topics) for file in self._files]
         for log_time_ns, channel, data in heapq.merge(*streams, key=itemgetter(0)):
@@ -151,7 +151,7 @@ def _no_bag(folder: Path) -> str:
 
 
 def _open(path: Path, problems: list[str]) -> list[BagFile]:
-    """Open the files of a bag; missing and surplus files are added to `problems`."""
+    """Open the files of a bag; adds missing, unread and unreadable files to `problems`."""
     if not path.is_dir():
         return [_open_alone(path, problems)]
     if (path / METADATA).exists():
@@ -161,12 +161,12 @@ def _open(path: Path, problems: list[str]) -> list[BagFile]:
     paths, others = _files(path, "mcap"), _files(path, "db3")
     if paths and others:
         names = ", ".join(other.name for other in others)
-        problems.append(f"{path}: {names} beside MCAP files, not read; give them by their names")
+        problems.append(f"{path}: MCAP files are read, not {names}; give such a file by its name")
     paths = paths or others
     listed = _listed(metadata)
     there = {file.name.removesuffix(PACKED) for file in paths}
     if missing := sorted(name for name in listed if name.removesuffix(PACKED) not in there):
-        problems.append(f"{path}: {METADATA} lists {', '.join(missing)}, not there")
+        problems.append(f"{path}: {METADATA} lists missing files: {', '.join(missing)}")
     files: list[BagFile] = []
     errors: list[InputError] = []
     for file in paths:
@@ -229,12 +229,12 @@ def _metadata(path: Path, problems: list[str]) -> dict[str, Any]:
     try:
         document = load_plain(path, "bag metadata", MOST_METADATA)
     except InputError as error:
-        problems.append(f"{error}; not readable")
+        problems.append(f"{error}; it is ignored")
         return {}
     information = document.get(INFORMATION) if isinstance(document, dict) else None
     if isinstance(information, dict) and isinstance(information.get("relative_file_paths"), list):
         return information
-    problems.append(f"{path}: not readable (lists no files)")
+    problems.append(f"{path}: lists no files; it is ignored")
     return {}
 
 
@@ -275,7 +275,7 @@ class CompressedMessages:
     @property
     def problem(self) -> str | None:
         """Damage and losses, in one line."""
-        lost = f"{self.path}: {self._lost} messages do not unpack" if self._lost else None
+        lost = f"{self.path}: {self._lost} messages cannot be unpacked" if self._lost else None
         return " | ".join(filter(None, (self._file.problem, lost))) or None
 
     def messages(self, wanted: Container[int]) -> Iterator[RawMessage]:

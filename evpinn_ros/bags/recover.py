@@ -97,11 +97,11 @@ def recover(source: Path, out: Path, progress: Progress = lambda _: None) -> lis
     """Save the readable messages of an MCAP file, or of a folder of them, as a new bag.
 
     `progress` gets the bytes read so far. An interrupted call removes its files. InputError: no
-    MCAP, `out` in use, or no message could be saved. OSError: `out` cannot be written.
+    MCAP, `out` is not empty, or no message could be saved. OSError: `out` cannot be written.
     """
     paths = broken_files(source)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: in use; give the name of a new folder")
+        raise InputError(f"{out}: exists and is not empty; give the name of a new folder")
     out.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     try:
@@ -156,12 +156,12 @@ def broken_files(source: Path) -> list[Path]:
         raise InputError(f"{source}: neither a file nor a folder")
     paths = [path for path in source.glob("*.mcap") if path.is_file()]
     if not paths:
-        known = (
-            "sqlite3 bags are saved by: sqlite3 BAG.db3 .recover"
+        advice = (
+            "recover a sqlite3 bag by: sqlite3 BAG.db3 .recover"
             if any(source.glob("*.db3"))
             else "give the folder of a rosbag2 bag, or an MCAP file"
         )
-        raise InputError(f"{source}: no .mcap file in this folder; {known}")
+        raise InputError(f"{source}: no .mcap file in this folder; {advice}")
     return sorted(paths, key=lambda path: (_number(path), path.name))
 
 
@@ -241,6 +241,7 @@ class _Copy:
         self.written.add(message.log_time)
 
     def finish(self) -> None:
+        """Complete the file, with the metadata that rosbag2 reads, and sync it to the disk."""
         information = bag_information([self.written], self._topics.values())
         self.writer.add_metadata(ROSBAG2, {"serialized_metadata": as_yaml(information)})
         self.writer.finish()

@@ -20,7 +20,7 @@ from urllib.parse import quote
 
 from evpinn_ros.bags.channel import Channel, RawMessage, parsed_qos
 from evpinn_ros.bags.limits import LONGEST_CHUNK, MOST_DEFINITIONS
-from evpinn_ros.bags.sqlite_pages import SCHEMA, SqlitePages
+from evpinn_ros.bags.sqlite_pages import SCHEMA, TOO_MUCH, SqlitePages
 from evpinn_ros.common.errors import InputError, as_input_error, one_line
 from evpinn_ros.common.opener import check_file, open_file
 from evpinn_ros.common.writer import copy_file
@@ -106,7 +106,7 @@ class SqliteFile:
     """An open `.db3` file."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file; InputError if it is no bag, or has more than tables and indices."""
+        """Open the file; InputError if it is no bag, or computes values, as views do."""
         self.path = path
         self.problem: str | None = None  # losses; complete once all messages were read
         self.notes: list[str] = []  # files beside it that are not read, and lose no message
@@ -174,7 +174,7 @@ class SqliteFile:
         channels: dict[int, Channel] = {}
         for number, (id_, *names, qos, type_hash) in enumerate(rows):
             if id_ in channels or number == MOST_TOPICS:
-                fault = "two topics of one id" if id_ in channels else f"over {MOST_TOPICS} topics"
+                fault = "topics with one id" if id_ in channels else f"over {MOST_TOPICS} topics"
                 raise InputError(f"{self.path}: no bag: its database has {fault}")
             # In a damaged row a name may be NULL or a number.
             if isinstance(id_, int) and all(isinstance(name, str) for name in names):
@@ -205,7 +205,7 @@ class SqliteFile:
                     continue
                 held += len(data)  # a damaged index may list other rows, or one row many times
                 if held > self._size:
-                    raise sqlite3.DatabaseError("an index holds more than the file")
+                    raise sqlite3.DatabaseError("an index lists more bytes than the file has")
                 yield log_time_ns, id_, data
                 read += 1
         except DAMAGE as error:
@@ -251,7 +251,7 @@ def _columns(database: sqlite3.Connection, table: str) -> set[str]:
 
 
 def _schema_fault(pages: SqlitePages) -> str | None:
-    """Why a schema cannot be that of a bag, or None; SQLite would load all of it."""
+    """Why a schema cannot be that of a bag, or None; checked because SQLite loads all of it."""
     for number, held in enumerate(accumulate(pages.row_bytes(SCHEMA)), start=1):
         if number > MOST_ENTRIES:
             return f"has more than {MOST_ENTRIES} tables and indices"
@@ -261,14 +261,14 @@ def _schema_fault(pages: SqlitePages) -> str | None:
 
 
 def _fault(database: sqlite3.Connection, pages: SqlitePages, size: int) -> str | None:
-    """Why a database is no bag, or holds more than its file, or None.
+    """Why a database is no bag, in words after "its database"; None for a bag.
 
-    A view in place of a table, or pages in a circle, could keep SQLite busy forever.
+    A view instead of a table, or pages in a circle, could keep SQLite busy forever.
     """
     entries = database.execute("SELECT type, name, sql, rootpage FROM sqlite_master").fetchall()
     for kind, _, sql, _ in entries:  # check all entries before reading any table
         if kind not in ("table", "index") or COMPUTING.search(str(sql)):
-            return f"has a {kind} that computes, or no row ids"
+            return f"has a {kind} that computes values or lacks row ids, as no recorder writes"
     roots = {
         name: root for kind, name, _, root in entries if kind == "table" and type(root) is int
     }
@@ -280,11 +280,11 @@ def _fault(database: sqlite3.Connection, pages: SqlitePages, size: int) -> str |
         if any(held > MOST_DEFINITIONS for held in accumulate(rows)):
             return f"has more than {MOST_DEFINITIONS} bytes of {table}"
     indices = [str(name) for kind, name, _, _ in entries if kind == "index"]
-    return "holds more than its file" if _holds_more(database, indices, size) else None
+    return TOO_MUCH if _holds_more(database, indices, size) else None
 
 
 def _holds_more(database: sqlite3.Connection, indices: Iterable[str], size: int) -> bool:
-    """True if the messages exceed `size` bytes, or they or an index are endless."""
+    """True if the messages exceed `size` bytes, or messages or an index have no end."""
     try:
         (held,) = database.execute(MESSAGE_BYTES).fetchone()
     except DAMAGE as error:

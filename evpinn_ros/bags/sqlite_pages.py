@@ -13,6 +13,7 @@ import struct
 from typing import BinaryIO
 
 SCHEMA = 1  # root page of the table of tables
+TOO_MUCH = "claims more bytes than its file has"
 _HEADER = 100  # bytes of the file header, in the first page
 _SIZE_AT = 16  # offset of the page size; the value 1 means 65536
 _INTERIOR, _LEAF = 5, 13  # first byte of a table's pages
@@ -42,7 +43,7 @@ class SqlitePages:
                 continue
             left -= 1
             if left < 0:
-                raise ValueError("holds more than its file")
+                raise ValueError(TOO_MUCH)
             self._file.seek((number - 1) * self._size)
             page = self._file.read(self._size)
             begin = _HEADER if number == SCHEMA else 0

@@ -54,12 +54,12 @@ def change_storage(
 ) -> int:
     """Write the messages of a bag, byte for byte, into a new bag; returns their number.
 
-    `progress` gets the seconds of the recording done; once `stopped` is true, the new bag ends
-    there; `note` gets the bag's notes. InputError: `out` is not writable, or the bag is broken;
-    then `out` has what could be read.
+    `progress` gets the seconds of log time copied; copying ends once `stopped` returns True;
+    `note` gets the bag's notes. InputError: `out` exists or is not writable, or messages are
+    missing; then `out` has the others.
     """
     if out.exists():
-        raise InputError(f"{out}: there already; give the name of a new folder")
+        raise InputError(f"{out}: exists already; give the name of a new folder")
     with BagReader(source) as reader:
         for line in reader.notes:
             note(line)
@@ -89,7 +89,7 @@ def _copy(
     progress: Callable[[float], None] | None,
     stopped: Callable[[], bool],
 ) -> tuple[int, int]:
-    """Numbers of messages that were copied, and left out: a writer holds five copies of one."""
+    """Numbers of messages copied and left out as too long: a writer holds each five times."""
     count = left_out = 0
     with Writer(out, version=VERSION, storage_plugin=StoragePlugin[storage.name]) as writer:
         channels = sorted(reader.channels(), key=lambda channel: channel.topic)

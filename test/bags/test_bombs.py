@@ -190,7 +190,7 @@ def test_messages_packed_one_by_one_are_bounded_together(tmp_path):
     with BagReader(tmp_path) as reader:
         read = sum(len(raw.message) for raw in reader.raw_records())
         assert 0 < read <= most_unpacked(path.stat().st_size) < 1000 * FREE_BYTES
-        assert "messages do not unpack" in reader.problem
+        assert "messages cannot be unpacked" in reader.problem
 
 
 def test_a_packed_file_that_fills_the_disk_is_refused(tmp_path):
@@ -347,7 +347,7 @@ COMPUTED = "CREATE TABLE computed(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblo
         (
             "CREATE TABLE t AS SELECT t.* FROM topics AS t, topics; DROP TABLE topics;"
             "ALTER TABLE t RENAME TO topics",
-            "two topics of one id",
+            "topics with one id",
         ),
         (
             "WITH RECURSIVE n(i) AS (SELECT 3 UNION ALL SELECT i + 1 FROM n LIMIT 300000)"
@@ -355,7 +355,7 @@ COMPUTED = "CREATE TABLE computed(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblo
             "type_description_hash) SELECT i, i, '', '', '', '' FROM n",
             "over 10000 topics",
         ),
-        ("CREATE TABLE t(a PRIMARY KEY) WITHOUT ROWID", "has a table that computes, or no row"),
+        ("CREATE TABLE t(a PRIMARY KEY) WITHOUT ROWID", "computes values or lacks row"),
         (f"CREATE TABLE t(a /*{'x' * 100_000}*/)", "describes its tables in more than 100000"),
         ("UPDATE topics SET name = printf('%.*c', 17000000, 'x')", "8388608 bytes of topics"),
         ("DROP TABLE messages", "has no table 'messages'"),
@@ -410,7 +410,7 @@ def test_a_database_whose_pages_lead_to_one_another_is_refused(tmp_path):
     content[28:32] = struct.pack(">I", len(pages))
     path.write_bytes(content)
     with pytest.raises(
-        InputError, match=r"a\.db3: no bag: its database holds more than its file$"
+        InputError, match=r"a\.db3: no bag: its database claims more bytes than its file has$"
     ):
         BagReader(path)
 
@@ -431,8 +431,8 @@ def test_a_schema_is_measured_before_sqlite_loads_it(tmp_path, monkeypatch, tabl
 @pytest.mark.parametrize(
     ("shared", "said"),
     [
-        ("messages", "its database holds more than its file"),
-        ("by_time", "an index holds more than the file"),
+        ("messages", "its database claims more bytes than its file has"),
+        ("by_time", "an index lists more bytes than the file has"),
     ],
 )
 def test_a_database_whose_messages_share_their_pages_is_refused(tmp_path, shared, said):

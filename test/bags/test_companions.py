@@ -196,4 +196,4 @@ def test_databases_beside_mcap_files_are_named(tmp_path):
         writer.write("/a", scalar(new_message, 1.0), START)
     killed_recording(tmp_path / "bag" / "other.db3", "WAL")
     values, problem = numbers(tmp_path / "bag")
-    assert values == [1.0] and "other.db3 beside MCAP files, not read" in problem
+    assert values == [1.0] and "MCAP files are read, not other.db3" in problem

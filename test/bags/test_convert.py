@@ -102,7 +102,7 @@ def test_a_topic_that_was_nearly_ours_is_named(tmp_path):
     with BagReader(tmp_path / "a") as reader, pytest.raises(InputError) as refused:
         BagReadings(reader)
     assert near in str(refused.value) and "lidar" not in str(refused.value)
-    assert "/ev/battery/state is std_msgs/msg/Float64, not sensor_msgs" in str(refused.value)
+    assert "its type is std_msgs/msg/Float64, not sensor_msgs" in str(refused.value)
 
 
 def test_bad_messages_are_counted(tmp_path):

@@ -251,7 +251,7 @@ def test_metadata_that_lists_more_or_is_broken(drive, tmp_path):
     folder.mkdir()
     (folder / "other.mcap").write_bytes(mcap_of(drive).read_bytes())
     metadata = (drive / "metadata.yaml").read_bytes()
-    for text, problem in ((metadata, "lists drive_0.mcap, not there"), (b"{", "not readable")):
+    for text, problem in ((metadata, "lists missing files: drive_0.mcap"), (b"{", "ignored")):
         (folder / "metadata.yaml").write_bytes(text)
         with BagReader(folder) as reader:
             assert len(list(reader.records())) == 2 * COUNT

@@ -245,7 +245,7 @@ def test_what_holds_nothing_is_refused_in_one_line(tmp_path, content, reason):
 def test_nothing_is_overwritten(wholes, tmp_path):
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "mine.txt").write_text("")
-    with pytest.raises(InputError, match="in use"):
+    with pytest.raises(InputError, match="not empty"):
         recover(wholes["zstd"], tmp_path / "new")
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"no \.mcap file in this folder"):

@@ -39,7 +39,7 @@ def test_to_sqlite3_and_back_keeps_every_byte(tmp_path):
 def test_what_cannot_be_done_is_one_line(tmp_path):
     with BagWriter(tmp_path / "bag"):
         pass
-    with pytest.raises(InputError, match="there already"):
+    with pytest.raises(InputError, match="exists already"):
         change_storage(URBAN, tmp_path / "bag", Storage.SQLITE3)
     (file,) = URBAN.glob("*.mcap")
     cut = tmp_path / "cut.mcap"

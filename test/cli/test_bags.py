@@ -106,7 +106,7 @@ def test_recover_then_replay(evpinn, folder):
     assert replayed.returncode == 0
     assert all(map(progress.fullmatch, replayed.stderr.splitlines()))
     again = evpinn("recover", "broken.mcap", "saved", cwd=folder)
-    assert_fails_in_one_line(again, "saved", "in use")
+    assert_fails_in_one_line(again, "saved", "not empty")
     report = json.loads(evpinn("recover", "broken.mcap", "two", "--json", "-", cwd=folder).stdout)
     (file,) = report["files"]
     assert file["messages"] == count and len(file["losses"]) >= 2

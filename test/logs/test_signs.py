@@ -238,7 +238,7 @@ def test_odometry_in_the_frame_of_the_map_gives_the_speed_over_ground(tmp_path, 
 
     source = bag_of(tmp_path, messages)
     assert measured(source) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
-    assert ("its size counts" in " ".join(source.notes)) == (frame == "map")
+    assert ("magnitude is the speed" in " ".join(source.notes)) == (frame == "map")
 
 
 @pytest.mark.parametrize("by", ["serial_number", "location", "voltage", "swapped"])
