@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+import math
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def with_units(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> di
             decided[name] = decide(decided[name], cells[name].known)
     for name in SIGNED:
         if name in decided and (
-            span := wrapped_at(cells[name].known)
+            span := wrapped(cells[name].known)
             or wrapped_while_braking(cells[name], cells["speed"])
         ):
             decided[name] = replace(decided[name], wraps=span)
@@ -177,9 +178,15 @@ def _sag(current: Signal, voltage: Signal) -> float:
 
 
 def wrapped_while_braking(drawn: Signal, speed: Signal) -> float:
-    """Span of unsigned numbers of few bits, whose upper values occur at braking; or 0."""
-    span = wrapped_at(drawn.known, FEW_BITS)
-    if not span:
+    """Span of unsigned numbers of few bits, whose upper values occur at braking; or 0.
+
+    They pass zero by steps of nearly the span, more often than they change by half of it.
+    """
+    numbers = drawn.known
+    span = _span(numbers, FEW_BITS)
+    steps = np.abs(np.diff(numbers))
+    across = int(np.sum(steps > 0.75 * span))
+    if across < max(LEAST_WRAPPED, int(np.sum(steps > 0.5 * span)) - across):
         return 0.0
     times, change = accelerations(speed)
     at = at_times(Signal(drawn.time, (drawn.value > 0.5 * span).astype(float)), times)
@@ -189,14 +196,19 @@ def wrapped_while_braking(drawn: Signal, speed: Signal) -> float:
     return span if np.mean(upper) < min(0.0, float(np.mean(lower))) else 0.0
 
 
-def wrapped_at(numbers: FloatArray, spans: Sequence[float] = SPANS) -> float:
+def wrapped(numbers: FloatArray) -> float:
     """Span of unsigned numbers that wrap below zero (-13.6 A is 65536 steps more), else 0."""
-    if not numbers.size or numbers.min() < 0:
-        return 0.0
-    span = next((span for span in spans if numbers.max() <= span), 0.0)
+    span = _span(numbers, SPANS)
     middle = (numbers > 0.25 * span) & (numbers < 0.75 * span)
     upper = numbers >= 0.75 * span
     return span if upper.sum() >= LEAST_WRAPPED and not middle.any() else 0.0
+
+
+def _span(numbers: FloatArray, spans: Sequence[float]) -> float:
+    """The shortest span that holds all numbers; infinite without one, or below zero."""
+    if not numbers.size or numbers.min() < 0:
+        return math.inf
+    return next((span for span in spans if numbers.max() <= span), math.inf)
 
 
 def _voltage_unit(column: Column, values: FloatArray) -> Column:

@@ -428,6 +428,20 @@ def test_an_unsigned_current_of_few_bits_is_signed_where_it_comes_of_braking(tmp
     assert "are negative ones" not in " ".join(opened(tmp_path, limited).notes)
 
 
+@pytest.mark.parametrize("largest", [70.0, 100.0, 127.0])
+def test_an_unsigned_byte_of_power_is_signed(tmp_path, largest):
+    """Powers up to any share of its range."""
+    scale = largest / float(np.max(DRIVE.voltage * DRIVE.current))
+    text = table(
+        "time,Speed (km/h),Power (kW)",
+        DRIVE,
+        lambda t, v, u, i, *_: f"{date(t)},{3.6 * v:.2f},{round(scale * u * i) % 256}",
+    )
+    source = opened(tmp_path, text)
+    assert measured(source)[1] == pytest.approx(1e3 * scale * DRIVE.energy, rel=0.02)
+    assert "numbers above 128 are negative ones" in " ".join(source.notes)
+
+
 @pytest.mark.parametrize("known", ["km/h", "mph", "m/s"])
 def test_positions_tell_the_unit_of_a_speed(tmp_path, known):
     factor = {"km/h": 3.6, "mph": 1 / 0.44704, "m/s": 1.0}[known]
