@@ -14,10 +14,12 @@ from itertools import chain, groupby
 import math
 from pathlib import Path
 import sys
+from textwrap import wrap
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin
 
 import typer
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # this folder and the benchmarks lie beside the package
@@ -220,6 +222,29 @@ def _range(parameter: Parameter) -> str:
     if math.isfinite(parameter.lower) or math.isfinite(parameter.upper):
         return f"{parameter.lower:g} to {parameter.upper:g}"
     return ""
+
+
+PARAMETER_FILE = """\
+# Parameters of the three nodes, each with its default. Copy this file, change what differs:
+#   ros2 launch evpinn_ros evpinn.launch.py params_file:=my_car.yaml
+# `evpinn check-params my_car.yaml` checks a copy without starting anything. `/**/` is any
+# namespace. Parameters marked (live) can be changed while the node runs; others are read once.
+"""
+
+
+def parameter_file() -> str:
+    """The commented parameter file with every default."""
+    lines = [PARAMETER_FILE]
+    for node, table in TABLES.items():
+        lines += [f"/**/{node}:", "  ros__parameters:"]
+        for parameter in table:
+            unit = f" [{parameter.unit}]" if parameter.unit else ""
+            text = f"{parameter.description}{unit}{'' if parameter.read_only else ' (live)'}"
+            lines += wrap(text, 99, initial_indent="    # ", subsequent_indent="    # ")
+            value = yaml.safe_dump(parameter.default).splitlines()[0].replace("''", '""')
+            lines.append(f"    {parameter.name}: {value}")
+        lines.append("")
+    return "\n".join(lines)
 
 
 def vehicles_page() -> str:
@@ -462,6 +487,7 @@ PAGES = {
     "explanation/one_interval.md": lambda: f"{MADE}\n{one_interval.page()}",
     "reference/topics.md": topics_page,
     "reference/parameters.md": parameters_page,
+    "../config/evpinn.param.yaml": parameter_file,
     "reference/vehicles.md": vehicles_page,
     "reference/commands.md": commands_page,
     "reference/metrics.md": metrics_page,

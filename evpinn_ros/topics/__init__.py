@@ -63,7 +63,7 @@ class Topic:
 
     @property
     def subscriber_qos(self) -> Qos:
-        """Best effort for the car's streams, else reliable; deep enough for a bag at ten times."""
+        """Best effort for streams of the car, else reliable; the depth suits replay at 10 x."""
         if self.source in FROM_THE_CAR:
             return Qos(reliable=False, transient_local=False, depth=self.depth)
         depth = 1 if self.latched else self.depth
@@ -124,8 +124,7 @@ BATTERY_CURRENT = Topic(
 IMU = Topic(
     "vehicle/imu",
     "the car",
-    "optional grade source: grade = -pitch in `base_link`; of another frame with "
-    "`imu_rotation_rpy` alone",
+    "optional grade source: grade = -pitch in `base_link`; another frame needs `imu_rotation_rpy`",
     "rad",
     type_name=IMU_TYPE,
 )
@@ -160,14 +159,15 @@ WIND = Topic(
 AUXILIARY_POWER = Topic(
     "auxiliary/power",
     "can_bridge",
-    "optional: known loads by name, heating and others; heating counts below 20 degrees outside",
+    "optional: power of known loads by name, `heating` and others; heating counts only below 20 "
+    "degC outside",
     "W",
 )
 MOTOR_TORQUE = Topic(
     "vehicle/motor_torque",
     "can_bridge",
-    "optional: `torque` of all motors together at their shaft, positive drives forward, and their "
-    "`speed`, left out where not known",
+    "optional: `torque`, the sum over all motors at the shaft, positive drives forward, and their "
+    "`speed` if known",
     "N m, rad/s",
 )
 PARAMETERS = Topic(
@@ -179,7 +179,7 @@ PARAMETERS = Topic(
 IDENTIFIABLE = Topic(
     "estimate/identifiable",
     "estimator",
-    "what the data alone determines: "
+    "combinations that the data alone determines: "
     "`mass_over_eta, drag_area_over_eta, c_rr, regeneration, p_aux`",
     "kg, m^2, 1, 1, W",
 )
@@ -208,7 +208,7 @@ PARAMETER_SCALARS = tuple(
 LAG = Topic(
     "estimate/lag",
     "estimator",
-    "`lag` by which the speed is stamped later than the battery, and its 1-sigma, once known",
+    "`lag` by which speed is stamped later than the battery, with its 1-sigma, once known",
     "s",
 )
 MODEL = Topic(
@@ -229,23 +229,23 @@ POWER_PREDICTED = Topic(
 POWER_SMOOTHED = Topic(
     "power/smoothed",
     "estimator",
-    "`power` stamped `smoothing_lag` earlier, made once speed up to that lag later is known; "
-    "never uses voltage or current of its own or later samples",
+    "`power` of the sample `smoothing_lag` before the newest, from speeds up to the newest; never "
+    "uses voltage or current of its own or later samples",
     "W",
 )
 ENERGY_BREAKDOWN = Topic(
     "energy/breakdown",
     "estimator",
-    "1 Hz: where the energy since the start went, over long stops too: `air, tyres, slope, speed, "
-    "brakes, drivetrain, climate, standing, unexplained`, which add up to `measured`; beside them "
+    "1 Hz: energy since the start by cause, long stops included: `air, tyres, slope, speed, "
+    "brakes, drivetrain, climate, standing, unexplained`, which add up to `measured`; also "
     "`regained`. effort 1-sigma; not published in `mode: paper`",
     "J",
 )
 ENERGY_STATE = Topic(
     "energy/state",
     "energy",
-    "since the last reset `measured, predicted, rknn, regenerated, consumed` (measured where "
-    "possible, predicted elsewhere): position J, velocity W, effort 1-sigma J",
+    "since the last reset: `measured, predicted, rknn, regenerated` and `consumed` (measured "
+    "where possible, else predicted): position J, velocity W, effort 1-sigma J",
     "J",
 )
 ENERGY_CONSUMED = Topic(
@@ -254,14 +254,15 @@ ENERGY_CONSUMED = Topic(
 ENERGY_TOTALS = Topic(
     "energy/totals",
     "energy",
-    "1 Hz: `net, drawn, regenerated` since the last reset and, as `lifetime_...`, since ever",
+    "1 Hz: `net, drawn, regenerated` since the last reset, and over the lifetime as "
+    "`lifetime_...`",
     "J",
 )
 ENERGY_CONSUMPTION = Topic(
     "energy/consumption",
     "energy",
-    "1 Hz: `wh_per_km_1`, `_10`, `_100` over the last so many km, `_trip` since the last reset, "
-    "`_lifetime`; each once that distance was driven, the last two after 1 km. "
+    "1 Hz: `wh_per_km_1`, `_10`, `_100` over the last 1, 10, 100 km, `_trip` since the last "
+    "reset, `_lifetime`; each once that distance is driven, the last two after 1 km. "
     "`distance_trip`, `distance_lifetime`",
     "Wh/km, m",
 )
@@ -269,9 +270,9 @@ ENERGY_RANGE = Topic(
     "energy/range",
     "energy",
     "1 Hz: `distance_to_empty` with `distance_lower`, `distance_upper` of its 90 % band, "
-    "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; what is unknown is left out. "
-    "After a plan (one without `/` in its frame) the distance is along that route, until it is "
-    "driven or twice its time has passed",
+    "`usable_energy`, `state_of_charge`, `capacity`, effort 1-sigma; unknown values are left out. "
+    "After a plan whose frame has no `/`, the distance is along its route, until the route is "
+    "driven or twice its duration has passed",
     "m, J, 1",
 )
 PLAN = Topic("plan", "planner", "stamped poses; z is elevation", "m", type_name=PATH_TYPE)
@@ -294,22 +295,22 @@ TRAJECTORY = Topic(
 CONDITIONS = Topic(
     "plan/conditions",
     "planner",
-    "optional, for all plans from then on: `temperature` degC, `heating` W, `head_wind` m/s, "
+    "optional, for all later plans: `temperature` degC, `heating` W, `head_wind` m/s, "
     "`payload` kg, `charge` 0..1, `stood` s before the start, `prewarmed` 0..1, `steady` 0 or 1; "
-    "NaN or not named: the last known",
+    "NaN or missing: the last known value",
 )
 FORECAST = Topic(
     "energy/forecast",
     "energy",
-    "joint `energy`: positions J, velocities W, effort 1-sigma J; the plan's header echoed",
+    "joint `energy`: positions J, velocities W, effort 1-sigma J; with the plan's header",
     "J, W",
     type_name=TRAJECTORY_TYPE,
 )
 FORECAST_STATUS = Topic(
     "energy/forecast/status",
     "energy",
-    "one for every plan, its header echoed: OK with `energy`, `sigma`, `battery` and the "
-    "`difference` to each plan that was asked together with it, or WARN and why it is refused",
+    "one for every plan, with the plan's header: OK with `energy`, `sigma`, `battery` and the "
+    "`difference` to each plan asked together with it, or WARN with the reason of refusal",
     "J",
     type_name=DIAGNOSTICS_TYPE,
 )

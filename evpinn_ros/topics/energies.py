@@ -89,7 +89,7 @@ def _totals(prefix: str, totals: EnergyTotals) -> dict[str, Uncertain]:
 
 
 def read_energy(message: Any) -> EnergyState:
-    """The state of a meter; values that its topic lacks are NaN or zero."""
+    """The state in a message of `energy/state`; NaN or 0 for what the topic lacks."""
     vector = read_named_vector(message)
     flows = {
         name: Flow(vector.values[name], vector.rates[name], vector.sigmas.get(name, math.nan))

@@ -86,9 +86,10 @@ def named_vector(
     sigmas: Sequence[float] | None = None,
     rates: Sequence[float] | None = None,
 ) -> Any:
-    """sensor_msgs/JointState: value, rate and 1-sigma; ValueError if not finite.
+    """sensor_msgs/JointState: value, rate and 1-sigma as position, velocity and effort.
 
-    Effort stays empty when a sigma is unknown (NaN).
+    Effort stays empty if a sigma is NaN (unknown). ValueError: lengths differ, a number is not
+    finite, or a sigma is negative.
     """
     rates = [] if rates is None else rates
     if sigmas is None or any(map(math.isnan, sigmas)):
@@ -96,7 +97,7 @@ def named_vector(
     if {len(names)} != {len(values), len(rates) or len(names), len(sigmas) or len(names)}:
         raise ValueError(f"{len(names)} names do not fit the values, sigmas or rates")
     if not all(map(math.isfinite, (*values, *rates, *sigmas))) or min(sigmas, default=0.0) < 0.0:
-        raise ValueError(f"{values}, {rates} or {sigmas} are not finite, or no sigmas")
+        raise ValueError(f"not finite, or a negative sigma: {values}, {rates}, {sigmas}")
     message = new(
         topics.NAMED_VECTOR_TYPE,
         name=list(names),
@@ -156,7 +157,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def read_named_vector(message: Any) -> NamedVector:
-    """A named vector as mappings by name."""
+    """The named vector in a JointState; BadMessage: lengths differ, or a number is not finite."""
     names = message.name
     values, rates = _by_name(names, message.position), _by_name(names, message.velocity)
     sigmas = _by_name(names, message.effort)

@@ -1,7 +1,7 @@
-"""The learned car model as a message `estimate/model`: the declared fields of `CarModel`.
+"""Converts a learned car model to a message of `estimate/model`, and back.
 
-The equation is replaced by the seed of its network and the size; the vehicle file has the rest of
-it.
+The message has the declared fields of `CarModel`, except the equation: the receiver makes it from
+its vehicle file, the seed of the network and the relative size.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ SEED, RELATIVE_SIZE = "seed", "relative_size"
 
 
 def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
-    """std_msgs/Float64MultiArray with all numbers of a car model in a row.
+    """std_msgs/Float64MultiArray of a car model; ValueError if a number is not finite.
 
-    Its first dimension is labelled `vehicle/version`; one more for each field gives its size, 0 if
-    None.
+    The first dimension has the label `vehicle/version`; each other names a field and its number of
+    elements, 0 for None.
     """
     equation = {SEED: car.equation.seed, RELATIVE_SIZE: car.equation.vehicle.relative_size}
     parts = {name: np.array([float(value)]) for name, value in equation.items()} | _parts(car)
@@ -46,12 +46,11 @@ def model_message(new: NewMessage, vehicle: str, car: CarModel) -> Any:
 
 
 def read_model(message: Any, vehicle: Vehicle) -> CarModel:
-    """The car model in a message; BadMessage for another vehicle or version, or wrong numbers."""
+    """The car model in a message; BadMessage for another vehicle or version, or bad numbers."""
     if max(len(message.data), len(message.layout.dim)) > MOST_NUMBERS:
         raise BadMessage("too_large")
     sizes = {dimension.label: dimension.size for dimension in message.layout.dim}
-    first = next(iter(sizes), None)
-    if first != f"{vehicle.key}/{MODEL_VERSION}":
+    if next(iter(sizes), None) != f"{vehicle.key}/{MODEL_VERSION}":
         raise BadMessage("other_vehicle_or_version")
     data = np.array(message.data, dtype=float)
     if not np.isfinite(data).all():
@@ -86,7 +85,7 @@ def _parts(value: Any, prefix: str = "") -> dict[str, np.ndarray]:
 
 
 def _value(kind: Any, parts: dict[str, np.ndarray], prefix: str, **given: Any) -> Any:
-    """A value made from its numbers; numbers without a declared field are ignored."""
+    """An instance of `kind` from numbers by field name; other names are ignored."""
     values = dict(given)
     for name, field in declared(kind).items():
         numbers = parts.get(prefix + name)

@@ -41,7 +41,7 @@ class Parameter:
     upper: float = math.inf  # largest value of a number
     choices: tuple[str, ...] = ()  # allowed texts, empty if any is allowed
     read_only: bool = True  # fixed once the node runs
-    # raises InputError for a text that is wrong otherwise; not called for an empty text
+    # further check of a text that is not empty; raises InputError
     verify: Callable[[str], object] | None = None
 
     def problem(self, value: object) -> str | None:
@@ -83,10 +83,10 @@ VEHICLE = Parameter(
 TIME_JUMP_POLICY = Parameter(
     "time_jump_policy",
     "auto",
-    "When the stamps of vehicle/speed go back, as when a bag starts over: reset to how the node "
-    "started (of energy the trip alone, to zero: the lifetime's total never falls), hold what was "
-    "learned or counted and begin a new stretch of time, or ignore what is late; auto resets "
-    "where /clock went back too, and else holds.",
+    "When the stamps of vehicle/speed go back, as when a bag restarts: reset to the state at the "
+    "start (energy: the trip only, as lifetime totals never fall), hold what was learned or "
+    "counted and continue at the new time, or ignore late messages; auto resets if /clock went "
+    "back too, and holds otherwise.",
     choices=("auto", "reset", "hold", "ignore"),
     read_only=False,
 )
@@ -113,8 +113,8 @@ AUTOSTART = Parameter(
 NAMED_VECTORS = Parameter(
     "named_vectors",
     True,
-    "Publish estimates as named vectors too. False, where evpinn_msgs is installed: only typed, "
-    "but for the three that the node energy reads.",
+    "Publish estimates as named vectors too. False, if evpinn_msgs is installed: only as typed "
+    "messages, except the three that the node energy reads.",
 )
 
 ESTIMATOR = (
@@ -137,14 +137,14 @@ ESTIMATOR = (
     Parameter(
         "paper_optimizer",
         "adam",
-        "Optimizer of mode paper: adam, as published, or gauss_newton, which gets nearer to the "
-        "least loss.",
+        "Optimizer of mode paper: adam, as published, or gauss_newton, which reaches a lower "
+        "loss.",
         choices=("adam", "gauss_newton"),
     ),
     Parameter(
         "smoothing_lag",
         0.3,
-        "Time by which power/smoothed is later, to use the speeds until then.",
+        "Delay of power/smoothed, so that it can use later speeds.",
         "s",
         0.0,
         1.5,
@@ -152,7 +152,7 @@ ESTIMATOR = (
     Parameter(
         "allowed_lateness",
         0.3,
-        "Time that readings are waited for, until they are put in order of stamps.",
+        "Time to wait for late readings before they are sorted by stamp.",
         "s",
         0.0,
         10.0,
@@ -245,7 +245,7 @@ CAN_BRIDGE = (
     Parameter(
         "channel",
         "can0",
-        "Channel of the adapter: can0, /dev/ttyACM0...; of can_msgs the topic: from_can_bus.",
+        "Channel of the adapter: can0, /dev/ttyACM0...; for can_msgs the topic: from_can_bus.",
     ),
     Parameter(
         "bitrate",
@@ -264,25 +264,25 @@ CAN_BRIDGE = (
     Parameter(
         "poll",
         False,
-        "Allow to send read requests, for what the profile says the car must be asked for. A car "
-        "that is asked stays awake, at the cost of its 12 V battery: see docs/explanation/can.md.",
+        "Send read requests for the values that the profile requests. They keep the car awake, "
+        "which drains its 12 V battery: see docs/explanation/can.md.",
     ),
     Parameter(
         "log_file",
         "",
-        "Play this CAN log, or the raw frames of a bag, with its stamps, in place of a bus.",
+        "CAN log, or bag of raw frames, to replay with its stamps instead of reading a bus.",
     ),
     Parameter(
         "log_rate",
         1.0,
-        "Speed of that replay, 1 is real time; 0 is as fast as possible.",
+        "Speed of that replay: 1 is real time, 0 as fast as possible.",
         lower=0.0,
         upper=1000.0,
     ),
     Parameter(
         "log_delay",
         2.0,
-        "Time to wait before that replay begins, so that its subscribers are connected.",
+        "Time before that replay begins, so that its subscribers can connect.",
         "s",
         0.0,
         3600.0,
@@ -297,7 +297,7 @@ TABLES: Mapping[str, tuple[Parameter, ...]] = {
 
 
 def of_node(name: str, values: Mapping[str, Value]) -> dict[str, Value]:
-    """Those of the values that are parameters of this node."""
+    """The values that are parameters of this node."""
     names = {parameter.name for parameter in TABLES[name]}
     return {key: value for key, value in values.items() if key in names}
 
@@ -326,7 +326,7 @@ def roll_pitch_yaw(text: str) -> tuple[float, float, float] | None:
     except ValueError as error:
         raise InputError(f"'{text}' is not three angles in rad") from error
     if not all(abs(angle) <= 2 * math.pi for angle in (roll, pitch, yaw)):
-        raise InputError(f"'{text}': an angle is more than a turn; rad, not degrees")
+        raise InputError(f"'{text}': an angle exceeds a full turn; give rad, not degrees")
     return roll, pitch, yaw
 
 

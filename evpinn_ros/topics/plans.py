@@ -30,7 +30,7 @@ ELEVATION_JOINT = "elevation"
 PLAN_TYPES = (PATH_TYPE, TRAJECTORY_TYPE, AUTOWARE_TRAJECTORY_TYPE)
 
 Decode: TypeAlias = Callable[[str, bytes], Any]
-"""Returns the message of this type in CDR bytes; ValueError if there is none."""
+"""Decodes CDR bytes to a message of this type; ValueError if they are none."""
 
 
 def plan_of_message(
@@ -62,7 +62,7 @@ def plan_of_message(
         if type_name == PATH_TYPE
         else trajectory_plan(message)
     )
-    # Followed by a controller of Nav2 or Autoware; without a map of heights z never changes.
+    # A controller of Nav2 or Autoware follows it; without a map of heights its z is constant.
     return replace(followed, commanded=True, level=False)
 
 
@@ -188,7 +188,7 @@ def _seconds_of_speeds(distance: np.ndarray, speed: np.ndarray) -> tuple[np.ndar
     count = stops[0] + 2 if stops.size else len(speed)
     length, twice_mean = np.diff(distance[:count]), speed[1:count] + speed[: count - 1]
     if count == 2 and not twice_mean.any():
-        raise PlanError("it stands, and has no times")
+        raise PlanError("its speeds are 0, and it has no times")
     with np.errstate(divide="ignore", invalid="ignore"):
         step = np.where(length > 0, 2.0 * length / twice_mean, 0.0)
     return np.concatenate(([0.0], np.cumsum(step))), count

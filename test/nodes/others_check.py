@@ -113,7 +113,7 @@ def plans(bench):
         assert abs(point.positions[0] - other.positions[0]) <= 1e-3 * abs(point.positions[0]) + 1.0
     assert len(stops.points) == 33  # it ends where it stops
     refused = bench.heard[topics.FORECAST_STATUS][-1].status[0]
-    assert "it stands, and has no times" in refused.message
+    assert "its speeds are 0, and it has no times" in refused.message
 
 
 def test_velocity_and_plans(bench):
