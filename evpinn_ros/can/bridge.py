@@ -22,7 +22,7 @@ PERIOD_WEIGHT = 0.05
 SHORTEST_PERIOD_NS = NANOSECONDS // 10
 """Shorter periods count as this one: a busy computer may delay frames by almost a second."""
 LONGEST_PERIOD_NS = NANOSECONDS
-"""Longest period of a signal, which is also assumed for one that is not known yet."""
+"""Longest period of a signal, also assumed until the period is known."""
 WAITING = "waiting"
 """Text of a bridge before the first frame."""
 
@@ -44,7 +44,7 @@ class BridgeStatus:
     """One look at the bridge, for diagnostics."""
 
     ok: bool  # every quantity of the profile arrives
-    text: str  # the state in a few words
+    text: str  # the state, for people
     frames: int  # frames of the profile's ids
     unknown_frames: int  # frames of other ids
     unknown_ids: int  # number of other ids, up to `MOST_IDS`
@@ -149,7 +149,7 @@ class CanBridge:
         if guard is not None and guard.held:
             return f"{guard.verdict.value}: {guard.held} readings held back"
         if self._dropped.total() > sum(signal.count for signal in signals.values()):
-            return "most values are implausible, as by a wrong profile"
+            return "most values are implausible: is the profile wrong?"
         return None
 
     @property

@@ -29,15 +29,15 @@ from evpinn_ros.common.errors import InputError, one_line
 LARGEST_DRIFT_PPM = 500
 """Largest drift of the clocks: quartz 100 ppm each; NTP slews a computer's clock by 500 ppm."""
 SET_ANEW_NS = 1_000_000_000
-"""Larger delays mean that the node's clock was set forward, as NTP does after booting."""
+"""A larger delay means that the node's clock was set forward, as by NTP after booting."""
 
 
 class ClockMap:
     """Maps stamps of one adapter to the node's clock, in the order in which it received frames.
 
-    A mapped stamp lies between the moment and the arrival of its frame, not before the last one,
-    and not later than `d_k + 2 r age_k` for any earlier frame k, with drift r and delay d. The map
-    starts anew when either clock goes back and when the node's clock leaps forward.
+    A mapped stamp lies between the moment and the arrival of its frame, and never before the last
+    one. It is late by `d_k + 2 r age_k` at most, for each earlier frame k, with its delay d_k, its
+    age_k and the drift r. The map restarts if either clock goes back or the node's leaps forward.
     """
 
     def __init__(self) -> None:
@@ -104,9 +104,9 @@ class BusCondition(Enum):
     CLOSED = "closed"
     OPEN = "open"
     SILENT = "silent: the car sleeps or this is another bus"
-    ERRORS = "error frames alone: wrong bit rate, or wiring?"
+    ERRORS = "only error frames: wrong bit rate or faulty wiring?"
     OFF = "bus-off: the adapter stopped after too many errors; check bit rate and wiring"
-    LOST = "lost: waiting to open it again"
+    LOST = "lost: trying to reopen it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class BusReader:
         """Store how to open the bus.
 
         `on_frame` is called in the thread of `run`; its exceptions are counted. `now_ns` is the
-        node's clock; `wait` waits some seconds before a new try; `options` go to `can.Bus`.
+        node's clock; `wait` sleeps, s, before reopening; `options` are those of `can.Bus`.
         """
         self._interface, self._channel, self._options = interface, channel, options
         self._on_frame, self._now_ns = on_frame, now_ns
@@ -254,7 +254,7 @@ class BusReader:
         self._back_off()
 
     def _stumble(self, error: Exception) -> None:
-        """Skip a broken line of a serial adapter; the pause saves processor time."""
+        """Skip a broken line of a serial adapter, after a pause that saves processor time."""
         self._counters["garbled"] += 1
         self._garbled += 1
         self._problem = f"{self._name}: garbled frame: {one_line(error)}"
@@ -285,7 +285,7 @@ class BusReader:
             self._on_frame(CanFrame.of(message, self._stamp_ns(message.timestamp)))
         except Exception as error:
             self._counters["callback_errors"] += 1
-            self._problem = f"{self._name}: reader of the frames failed: {error!r}"
+            self._problem = f"{self._name}: processing a frame failed: {error!r}"
 
     def _stamp_ns(self, seconds: float) -> int:
         if seconds == 0.0:  # python-can's default, and all that a gs_usb without a clock gives
@@ -331,15 +331,17 @@ def _deepen_queue(bus: Any) -> None:
 
 def _remedy(error: BaseException | BusCondition, interface: str, channel: str | int) -> str | None:
     if isinstance(error, BusCondition):
-        restart = f"`sudo ip link set {channel} type can restart-ms 100` lets it begin again"
+        restart = (
+            f"`sudo ip link set {channel} type can restart-ms 100` makes it restart by itself"
+        )
         return restart if interface == "socketcan" else None
     if interface not in INTERFACES:
         return f"known interfaces are {', '.join(sorted(INTERFACES))}"
     number = _errno(error)
     if number in (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT):
-        return "has this computer joined the adapter's Wi-Fi, and are address and port right?"
+        return "has this computer joined the adapter's Wi-Fi? Are address and port right?"
     if isinstance(error, can.CanInitializationError) and interface == elm327.NAME:
-        return "is the ignition on, and no other app connected to it?"
+        return "switch the ignition on, and close other apps that use the adapter"
     if interface == "socketcan" and number == errno.ENETDOWN:
         return f"try `sudo ip link set {channel} up type can bitrate 500000`"
     if interface == "socketcan" and number == errno.ENODEV:
@@ -347,16 +349,16 @@ def _remedy(error: BaseException | BusCondition, interface: str, channel: str | 
     if number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
         return "this kernel has no CAN; try `sudo modprobe can_raw`"
     if number in (errno.EACCES, errno.EPERM):
-        return "no permission; add the user to the group of the device (`dialout`)"
+        return "add your user to the group of the device (`dialout`)"
     if number == errno.EBUSY:
         return "another program has it open"
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO):
-        return "is the adapter plugged in, and the channel its name?"
+        return "is the adapter plugged in? Is the channel its name?"
     if isinstance(error, (ValueError, TypeError)):
         return "check channel, bitrate and the other bus options"
     if number is None:
         driver = DRIVERS.get(interface, "the driver")
-        return f"is {driver} installed, and the adapter plugged in?"
+        return f"is {driver} installed? Is the adapter plugged in?"
     return None
 
 

@@ -13,8 +13,8 @@ from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.time_jump import Jump, StampGuard
 
 PERIOD_NS = NANOSECONDS // 11
-"""Sooner readings are left out: ten per second are enough for accelerations."""
-AT_ONCE = 500  # readings that are checked at once
+"""Readings sooner after the last are skipped: accelerations need ten a second."""
+AT_ONCE = 500  # readings that are checked together
 LONGEST_STEP = 2.0  # s: longest time that one reading counts for
 AIR_DENSITY = 1.2  # kg/m^3; the stream needs it, the sign does not
 
@@ -40,12 +40,12 @@ class CurrentSign:
 
     @property
     def fault(self) -> str | None:
-        """Detected fault and its remedy, in one line; None while all is well."""
+        """Detected fault and its remedy, in one line; None without a fault."""
         self._follow()
         if fault := self._driving.detected:
-            why = "to accelerate charges the battery"
+            why = "accelerating charges the battery"
         elif fault := self._charging.detected:
-            why = "to charge empties the battery"
+            why = "charging empties the battery"
         else:
             return None
         return f"{fault}: {why}; flip positive_means in the profile"

@@ -1,4 +1,4 @@
-"""Finds the messages and signals of a profile in DBC files, or states the fault."""
+"""Finds the messages and signals that a profile names in its DBC file."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class DbcFile:
             reason = f"message '{name}' is multiplexed, but no signal of it is the multiplexer 'M'"
             raise section.error_at("message", reason)
         if message.is_multiplexed() and (fault := _fault_of_pages(message)):
-            raise section.error_at("message", f"{fault}; mend the DBC file")
+            raise section.error_at("message", f"{fault}; correct the DBC file")
         return message
 
     def _cut(self, start: re.Match[str]) -> tuple[str, str]:
@@ -119,7 +119,7 @@ def find_signal(section: Section, key: str, message: Any) -> Any:
     if signal.is_float:
         raise section.error_at(key, f"'{name}' is a floating-point signal; only integers are read")
     if _hangs_over(signal, message):
-        raise section.error_at(key, f"{_overhang(signal, message)}; mend the DBC file")
+        raise section.error_at(key, f"{_overhang(signal, message)}; correct the DBC file")
     return signal
 
 
@@ -140,7 +140,7 @@ def _hangs_over(signal: Any, message: Any) -> bool:
 
 
 def _overhang(signal: Any, message: Any) -> str:
-    return f"'{signal.name}' hangs over the {message.length} bytes of message '{message.name}'"
+    return f"'{signal.name}' exceeds the {message.length} bytes of message '{message.name}'"
 
 
 def refuse_other_unit(section: Section, signal: Any) -> None:
@@ -148,7 +148,7 @@ def refuse_other_unit(section: Section, signal: Any) -> None:
     stated = _SPEED_UNITS.get(str(signal.unit or "").strip().lower())
     if stated and stated != section.text("unit") and not section.has("scale"):
         reason = (
-            f"the DBC file gives '{signal.name}' in {signal.unit}; if it is wrong, say scale: 1"
+            f"the DBC file gives '{signal.name}' in {signal.unit}; if that is wrong, add scale: 1"
         )
         raise section.error_at("unit", reason)
 
@@ -181,9 +181,9 @@ def _excess(text: str) -> str | None:
         return f"it has more than {LARGEST_MESSAGE} characters"
     places = [_whole(number) for match in _PLACE.finditer(text) for number in match.groups()]
     if max(places, default=0) > LAST_BIT or sum(places) > MOST_BITS:
-        return f"a signal lies beyond bit {LAST_BIT}, or too many are long"
+        return f"a signal lies beyond bit {LAST_BIT}, or its signals have too many bits"
     if any(8 * _whole(match[3]) > LAST_BIT for match in _MESSAGE.finditer(text)):
-        return "it is too long"
+        return f"it has more than {LAST_BIT} bits"
     if sum(1 for _ in _SIGNAL.finditer(text)) > MOST_SIGNALS:
         return f"it has more than {MOST_SIGNALS} signals"
     statements = (match[1] for match in _PAGES.finditer(text))

@@ -69,9 +69,9 @@ def refusal(tx_id: int, rx_id: int, target: int | None, source: int | None) -> s
             "docs/explanation/can.md)"
         )
     if rx_id not in _ANSWERS[tx_id]:
-        return f"0x{rx_id:X} does not answer what is sent to 0x{tx_id:X}"
+        return f"0x{rx_id:X} is no answer id of 0x{tx_id:X}"
     if tx_id != BMW_GATEWAY:
-        return None if target is None else f"0x{tx_id:X} knows no 'target' and 'source'"
+        return None if target is None else f"0x{tx_id:X} takes no 'target' and 'source'"
     if target is None or source != TESTER or rx_id != 0x600 + target:
         return "0x6F1 needs a 'target', 'rx' 0x600 + target, and 'source' 0xF1"
     return None

@@ -113,16 +113,16 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
     def _listen(self, seconds: float) -> None:
         """Read for some seconds; a prompt frees the adapter for the next command."""
         self._port.timeout = seconds
-        got = self._port.read(max(1, getattr(self._port, "in_waiting", 0)))
+        data = self._port.read(max(1, getattr(self._port, "in_waiting", 0)))
         now_s = self._clock_s()
-        *whole, self._rest = re.split(rb"[\r\n]+|(?<=>)", self._rest + got.replace(b"\0", b""))
+        *whole, self._rest = re.split(rb"[\r\n]+|(?<=>)", self._rest + data.replace(b"\0", b""))
         for line in whole:
             if line.endswith(b">"):
                 self._deadline_s = None
             self._lines.append((now_s, line.decode("latin-1").strip("> ")))
         if len(self._rest) > MOST_BYTES:
             self._rest = b""
-            raise ValueError("a line without an end")
+            raise ValueError(f"more than {MOST_BYTES} bytes without a line end")
 
     def _read(self, now_s: float, text: str) -> can.Message | None:
         """The frame in a line or None; ValueError if damaged, CanOperationError after a reset."""
@@ -130,7 +130,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         if text in SILENT or word == self._last:  # or the echo of our last command
             return None
         if BANNER.search(text.encode()):
-            raise can.CanOperationError("the adapter began anew: is its supply loose?")
+            raise can.CanOperationError("the adapter restarted: is its power supply loose?")
         if any(fault in text for fault in FAULTS):
             return can.Message(timestamp=now_s, is_error_frame=True)
         digits = 8 if self._extended else 3
@@ -143,7 +143,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             data=bytes.fromhex(word[digits:]),
         )
 
-    # Commands to it ----------------------------------------------------------------------------
+    # Commands ------------------------------------------------------------------------------------
 
     def _go_on(self) -> None:
         """Send the next command if the adapter is ready for it."""
@@ -159,7 +159,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             return
         if self._deadline_s is not None:
             if time.monotonic() > self._deadline_s:
-                raise can.CanOperationError("the adapter says nothing more")
+                raise can.CanOperationError("the adapter stopped replying")
             return
         if not self._commands:
             self._plan()
@@ -222,7 +222,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
         self._port.write(command.encode() + b"\r")
         self._deadline_s = time.monotonic() + ANSWER_S
 
-    # The beginning -------------------------------------------------------------------------------
+    # Opening -------------------------------------------------------------------------------------
 
     def _find(self, channel: str, baud_rate: int | None) -> Any:
         import serial  # type: ignore[import-untyped]
@@ -239,8 +239,8 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             if BANNER.search(reply):
                 return port
             port.close()
-        word = f"it replied {reply[:40]!r}" if reply else "it replied nothing"
-        raise can.CanInitializationError(f"no ELM327 or OBDLink is there: {word}")
+        replied = f"the reply was {reply[:40]!r}" if reply else "no reply"
+        raise can.CanInitializationError(f"no ELM327 or OBDLink found: {replied}")
 
     def _prepare(self) -> None:
         for command in START:
@@ -248,7 +248,7 @@ class Elm327Bus(can.BusABC):  # type: ignore[misc]
             reply = self._until_prompt(self._port, ANSWER_S)
             if b"OK" not in reply and command in NEEDED:
                 self._port.close()
-                raise can.CanInitializationError(f"the adapter does not know {command}: a clone?")
+                raise can.CanInitializationError(f"the adapter lacks {command}: is it a clone?")
 
     def _until_prompt(self, port: Any, seconds: float) -> bytes:
         end, reply = time.monotonic() + seconds, b""

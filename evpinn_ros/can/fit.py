@@ -24,8 +24,8 @@ JUMPS: Mapping[str, tuple[float, float]] = {
     "speed": (1.0, 15.0),
     **dict.fromkeys(("battery", "voltage"), (40.0, 100.0)),
 }
-"""Largest plausible change of a quantity's first signal: at once, and per second more. No tyre
-allows 15 m/s^2; 500 A through 0.1 ohm are 50 V."""
+"""Largest plausible change of a quantity's first signal: a step, and its growth per second. No
+tyre allows 15 m/s^2; 500 A through 0.1 ohm are 50 V."""
 SHORTEST_NS = NANOSECONDS // 10  # stamps of frames from one burst are unreliable
 
 ENOUGH = 5  # frames before a message can fail or recover
@@ -101,7 +101,7 @@ class MessageFit:
     def __str__(self) -> str:
         place = f"{self.quantity} (0x{self.can_id:X})"
         if not self.frames:
-            return f"{place} never came"
+            return f"{place} was never received"
         if self.share >= NEARLY_ALL:
             return f"{place} holds"
         total = self.good + self.bad.total()

@@ -29,7 +29,7 @@ class CanFrame:
     stamp_ns: int  # when it was received
     can_id: int  # identifier, 11 bits, or 29 when `extended`
     data: bytes  # 0 to 64 bytes
-    extended: bool = False  # whether the identifier has 29 bits
+    extended: bool = False  # True if the identifier has 29 bits
 
     @property
     def key(self) -> BusId:
@@ -59,7 +59,7 @@ RawFrames: TypeAlias = deque[tuple[int, CanFrame]]
 
 
 class FirstBus:
-    """Takes each id from the first bus of a recording that sent it, as ids differ by bus."""
+    """Reads each id from the first bus that sent it: other buses may use it for other data."""
 
     def __init__(self, only: str | None = None) -> None:
         self._only = only
@@ -70,7 +70,7 @@ class FirstBus:
         self.cars = ""  # evidence of two cars, else empty
 
     def takes(self, key: BusId, bus: Any, data: bytes = b"") -> bool:
-        """True if a frame of this bus is to be read; ids beyond `MOST_IDS` always are."""
+        """True if a frame of this bus is to be read, as is any id beyond `MOST_IDS`."""
         if self._only is not None:
             self._seen[bus] += 1
             return str(bus) == self._only
@@ -104,8 +104,8 @@ class FirstBus:
         differ = sum(other > 0.5 * both for both, other in judged)
         if len(judged) >= LEAST_SHARED and 2 * differ > max(self._seen[first], 2 * LEAST_SHARED):
             self.cars = (
-                f"{first} and {bus} have {differ} ids with other data, as of two cars; "
-                f"say --car {first} or --car {bus}"
+                f"buses {first} and {bus} send different data under the same {differ} ids, as two "
+                f"cars do; say --car {first} or --car {bus}"
             )
 
 

@@ -24,7 +24,7 @@ DECIDE_PATIENTLY_NS = 10 * NANOSECONDS
 REVIEW_NS = NANOSECONDS
 RESUME_NS = 10 * NANOSECONDS
 REVIEW_FRAMES = 10  # frames of the profile; with fewer a review is postponed
-# Without these messages a profile has no readings to release:
+# Quantities whose messages, if all are valid, confirm a profile at once:
 LEADING = ("speed", "battery", "voltage", "current")
 MOST_HELD = 10_000  # readings, in case all frames have one stamp
 
@@ -32,7 +32,7 @@ MOST_HELD = 10_000  # readings, in case all frames have one stamp
 class ProfileVerdict(Enum):
     """Verdict on the profile."""
 
-    UNDECIDED = "weighing whether the profile fits"
+    UNDECIDED = "checking whether the profile fits"
     TRUSTED = "the profile fits"
     REFUSED = "the traffic contradicts the profile"
 
@@ -60,7 +60,7 @@ class FitGuard:
                 self._compare_with(other)
 
     def pass_on(self, frame: CanFrame, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """Readings to publish after a frame with these readings was decoded."""
+        """Readings to publish now that a frame was decoded to `readings`."""
         if self._comparing:
             for decoder in self._decoders.get(frame.key, ()):
                 decoder.decode(frame)
@@ -75,7 +75,7 @@ class FitGuard:
         return self.pass_answer(readings)
 
     def pass_answer(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
-        """Readings of an answer to publish: an answer echoes its request, so it proves nothing."""
+        """Readings of an answer to publish; it proves no profile, as it echoes the request."""
         if self.verdict is ProfileVerdict.REFUSED:
             self.dropped["contradicted"] += len(readings)
             return ()

@@ -75,8 +75,8 @@ def _base(start: datetime | None, first: float) -> float:
 
 
 FORMATS = (
-    "formats that are read: candump -L (.log), Vector .asc and .blf, PEAK .trc, .csv of SavvyCAN "
-    "and python-can, ASAM .mf4; a table of a drive is a .csv, .tsv or .txt"
+    "supported are candump -L (.log), Vector .asc and .blf, PEAK .trc, .csv of SavvyCAN and "
+    "python-can, ASAM .mf4; a table of a drive is a .csv, .tsv or .txt"
 )
 LAST_ID, LAST_EXTENDED_ID, LONGEST_DATA = 0x7FF, 0x1FFFFFFF, 64
 LAST_TIME = 2.0**33  # s since 1970: the year 2242
@@ -122,7 +122,7 @@ class LogFile:
         """Time between the frames at both ends of the file, s; None if unknown."""
         if self._gzipped or self._suffix == MF4:
             return None
-        ends = LogFile(self.path)  # so that frames skipped here are not counted twice
+        ends = LogFile(self.path)  # a second reader: `skipped` of this one stays unchanged
         try:
             with open_file(self.path) as file:
                 if self._suffix == ".blf":
@@ -168,7 +168,9 @@ class LogFile:
                 place = f"{self.path}:{lines.number}"
                 self.problem = f"{place}: broken after {self.count} frames: {one_line(error)}"
                 if self.count == 0 and lines.line:
-                    self.problem = f"{place}: {lines.line[:40]!r} is of none of the {FORMATS}"
+                    self.problem = (
+                        f"{place}: {lines.line[:40]!r} is no line of a CAN log; {FORMATS}"
+                    )
 
     def _converted(self) -> tuple[IO[bytes], str | None]:
         """Candump log converted by another process, and why it ends early, or None."""

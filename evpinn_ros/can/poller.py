@@ -1,4 +1,7 @@
-"""Requests values that a car does not broadcast, by OBD-II, KWP2000 and UDS, or listens."""
+"""Requests values that a car does not broadcast, by OBD-II, KWP2000 and UDS.
+
+Without `send` it only decodes the answers to the requests of another tester.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ class PollStatus:
     """One look at the poller, for diagnostics."""
 
     ok: bool  # requests are sent, and none was refused for good
-    text: str  # the state in a few words
+    text: str  # the state, for people
     counters: Mapping[str, int]  # sums over all control units (see `ControlUnit`)
 
 
@@ -96,7 +99,7 @@ class Poller:
             return readings
 
     def note(self, frame: CanFrame, readings: Iterable[Reading]) -> None:
-        """Note another frame of the bus, with its readings."""
+        """Note a frame that is no answer, with its readings."""
         with self._changed:
             now_s = self._clock()
             self._record_traffic(frame, now_s)
@@ -120,7 +123,7 @@ class Poller:
         self._stopped.set()
 
     def status(self) -> PollStatus:
-        """Status of polling, with the reason of a pause, and the counters so far."""
+        """Whether requests are sent, why not, and the counters so far."""
         with self._changed:
             counters: Counter[str] = sum(
                 (unit.counters for unit in self._units.values()), Counter()
@@ -131,18 +134,18 @@ class Poller:
             reason = self._restraint.reason
         if self._gate is None:
             text = (
-                f"profile {self._profile.key} asks the car; "
-                "poll:=true (evpinn run --poll) lets it send read requests"
+                f"profile {self._profile.key} needs read requests; "
+                "poll:=true (evpinn run --poll) allows them"
             )
         elif self.contradicted:
             text = "stopped: the traffic contradicts the profile"
         elif self._shared_id is not None:
             text = (
-                f"stopped: the car or another tester sends on 0x{self._shared_id:X}, which only "
-                "one may; goes on with a new start"
+                f"stopped: the car or another tester sends on 0x{self._shared_id:X} too; "
+                "restart to try again"
             )
         elif reason is not None:
-            text = f"stopped: {reason}; goes on when the car wakes, or with a new start"
+            text = f"stopped: {reason}; resumes when the car wakes, or after a restart"
         elif retired:
             text = ", ".join(f"{name} refused: {why}" for name, why in retired.items())
         else:

@@ -150,9 +150,9 @@ def _parse(path: Path) -> CanProfile:
             sections |= {part: battery.section(part) for part in PARTS["battery"]}
         messages = {name: _message_rule(part, name, database) for name, part in sections.items()}
     if not {"speed", "battery"} & {*broadcast, *asked}:
-        raise root.error("'speed' or 'battery' is missing: the profile would say nothing")
+        raise root.error("'speed' and 'battery' are missing: a profile needs one of them")
     if "state_of_charge" in messages and "battery" in asked:
-        raise root.error_at("state_of_charge", "must be asked for, as the battery is")
+        raise root.error_at("state_of_charge", "must be requested, as 'battery' is")
     _refuse_shared_bits(root, messages)
     _refuse_broadcast_ids(root, messages, asked)
     return CanProfile(
@@ -169,7 +169,7 @@ def _parse(path: Path) -> CanProfile:
 def _asked(root: Section) -> dict[str, tuple[AnswerField, ...]]:
     if not root.has("requests"):
         if root.has(ONLY_ASKED):
-            raise root.error_at(ONLY_ASKED, "can only be asked for: 'requests' is missing")
+            raise root.error_at(ONLY_ASKED, "can only be requested: 'requests' is missing")
         return {}
     requests = request_rules(root.section("requests"))
     asked = {}

@@ -1,4 +1,4 @@
-"""The only path for frames to the car: it passes exact requests of the profile, nothing else."""
+"""The only path for frames to the car: passes requests of the profile and their flow control."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evpinn_ros.can.request import QUESTIONS_PER_S, READ_SERVICES, RequestRule
 
 FRAME_BYTES = 8
 PADDING = b"\0"
-"""Padding behind the bytes of a frame: every control unit accepts frames of eight bytes."""
+"""Pads a frame to eight bytes, a length that every control unit accepts."""
 
 FLOW_CONTROL = bytes((0x30, 0x00, 0x00))
 """Flow control: send all remaining frames without pauses (ISO 15765-2)."""
@@ -26,10 +26,10 @@ FrameKey = tuple[int, bool, bytes]
 
 
 class ReadOnlyGate:
-    """Sends a frame only if it is a request of the profile, whatever produced it.
+    """Sends a frame only if it is a request of the profile, whichever code asks for it.
 
-    One flow control to the same control unit may follow, as a long answer needs it. So a sender of
-    first frames cannot make us answer each of them.
+    After a request one flow control to the same control unit may follow, for a long answer: other
+    senders of first frames get none.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class ReadOnlyGate:
         """Send a frame, return the result of `send`; PermissionError if it is not allowed."""
         key = frame.can_id, frame.extended, bytes(frame.data)
         if key not in self._flow_controls and key not in self._awaited:
-            raise PermissionError(f"{frame.can_id:X}: {frame.data.hex(' ')} is no request to read")
+            raise PermissionError(f"{frame.can_id:X}: {frame.data.hex(' ')} is no read request")
         now_s = self._clock()
         if len(self._sent_s) == FRAMES_PER_S and now_s - self._sent_s[0] < 1.0:
             raise PermissionError(f"{frame.can_id:X}: more than {FRAMES_PER_S} frames in a second")
@@ -64,7 +64,7 @@ def frames_of(request: RequestRule) -> tuple[FrameKey, FrameKey]:
     address, payload = request.address, request.payload
     reason = refusal(address.tx_id, address.rx_id, address.target, address.source)
     if reason is None and len(payload) != 1 + READ_SERVICES.get(payload[0], -1):
-        reason = f"{payload.hex(' ')} is no request to read"
+        reason = f"{payload.hex(' ')} is no read request"
     if reason is not None:
         raise PermissionError(f"request '{request.name}': {reason}")
     parts = bytes((len(payload),)) + payload, FLOW_CONTROL

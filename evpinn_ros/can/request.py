@@ -105,13 +105,13 @@ def request_rules(section: Section) -> dict[str, RequestRule]:
     for earlier, other in combinations(rules.values(), 2):
         if earlier.address.answers_from == other.address.answers_from:
             if earlier.address != other.address:
-                reason = f"'{earlier.name}' and '{other.name}' share the answer id alone"
+                reason = f"'{earlier.name}' and '{other.name}' share only the answer id"
                 raise section.error_at(other.name, reason)
             if earlier.payload == other.payload:
                 raise section.error_at(other.name, f"asks the same as '{earlier.name}'")
     pace = sum(1 / rule.period_s for rule in rules.values())
     if pace > QUESTIONS_PER_S:
-        raise section.error(f"{pace:.3g} questions a second are more than {QUESTIONS_PER_S}")
+        raise section.error(f"{pace:.3g} requests a second; at most {QUESTIONS_PER_S} are allowed")
     return rules
 
 
@@ -168,7 +168,7 @@ def _address(section: Section) -> Address:
     if extended != (rx_id > LAST_11_BIT_ID):
         raise section.error_at("rx", "'tx' and 'rx' must both have 11 bits or both 29")
     if tx_id == rx_id:
-        raise section.error_at("rx", "'rx' is the id of the requests")
+        raise section.error_at("rx", "'rx' must differ from 'tx'")
     if section.has("target") != section.has("source"):
         raise section.error("extended addressing needs both 'target' and 'source'")
     target, source = (

@@ -23,8 +23,8 @@ QUIET_S = 10.0
 """Silence of the whole bus after which traffic shows that the car woke."""
 
 AWAKE_FRAMES, AWAKE_IDS, AWAKE_WITHIN_S = 20, 3, 2.0
-"""Traffic of a car that is awake; stray frames or one restless control unit make less. OVMS
-(vehicle_renaultzoe_ph2) takes 15 frames a second of a few ids as an awake Zoe."""
+"""Frames and ids, within a time, that show an awake car; stray frames or one control unit that
+stays on send fewer. OVMS (vehicle_renaultzoe_ph2) takes 15 frames a second as an awake Zoe."""
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 3600.0
 """Delay after an unanswered attempt before the next one, doubled each time."""
@@ -65,7 +65,7 @@ class Restraint:
         self._not_before_s = -math.inf
 
     def asked(self, now_s: float, sent: bool) -> None:
-        """A request was due; `sent` is False if there was no bus."""
+        """Note that a request was due; `sent` is False if there was no bus to send it on."""
         if self._low:
             self.leave = Leave.NOTHING
         elif not sent:
@@ -74,7 +74,7 @@ class Restraint:
             self._unanswered_since_s = now_s
         elif now_s - self._unanswered_since_s >= self._patience_s:
             self._stop(
-                f"no answer for {self._patience_s:.0f} s: the car sleeps, or is another one"
+                f"no answer for {self._patience_s:.0f} s: the car sleeps, or it is another car"
             )
 
     def answered(self) -> None:
@@ -99,14 +99,14 @@ class Restraint:
         return True
 
     def observe(self, reading: Reading, now_s: float) -> None:
-        """The car drives, stands, or draws current."""
+        """Note whether the car moves or draws current."""
         if isinstance(reading, SpeedReading) and abs(reading.speed) > STANDSTILL:
             self._moved_s = now_s
         elif isinstance(reading, BatteryReading):
             self._observe_current(reading.current, now_s)
 
     def auxiliary(self, voltage: float, now_s: float) -> None:
-        """The voltage of the 12 V battery."""
+        """Note the voltage of the 12 V battery; a low one pauses all requests but its own."""
         if self._low:
             if voltage >= RECOVERED_VOLTAGE:
                 self._low = False
@@ -129,11 +129,11 @@ class Restraint:
         elif self._idle_since_s is None:
             self._idle_since_s = now_s
         elif now_s - self._idle_since_s >= IDLE_FOR_S:
-            self._stop(f"no current for {IDLE_FOR_S / 60:.0f} min: asking would keep it awake")
+            self._stop(f"no current for {IDLE_FOR_S / 60:.0f} min: requests keep the car awake")
 
     def _stop(self, reason: str) -> None:
         self.reason, self.leave = self.reason or reason, Leave.NOTHING
-        self._traffic.awake = self._low  # no answer to whatever went on: that is no awakening
+        self._traffic.awake = self._low  # traffic without an answer shows no awake car
 
     def _resume(self, patience_s: float) -> None:
         self.reason, self.leave, self._patience_s = None, Leave.ALL, patience_s
@@ -144,7 +144,7 @@ class _Traffic:
     """Distinguishes the traffic of a car that woke from a stray frame."""
 
     def __init__(self) -> None:
-        self.awake = False  # after a silence, several ids came close together
+        self.awake = False  # True if several ids came close together after a silence
         self._newest_s = -math.inf
         self._waking = False
         self._first_s = -math.inf
@@ -152,7 +152,7 @@ class _Traffic:
         self._ids: set[int] = set()
 
     def record(self, can_id: int, extended: bool, now_s: float) -> None:
-        """Record a frame. Those of testers hold no information on the car."""
+        """Record a frame, unless a tester sends on its id."""
         if is_request_id(can_id, extended):
             return
         if now_s - self._newest_s >= QUIET_S:

@@ -130,7 +130,7 @@ def test_no_payload_of_a_users_file_is_an_exception(profile, can_id, data):
         ("signal: VehicleSpeed", "signal: SpeedFloat", "is a floating-point signal"),
         ("signal: VehicleSpeed", "signal: MilesPerHour", "gives 'MilesPerHour' in MPH"),
         ("message: Pack", "message: Headless", "no signal of it is the multiplexer 'M'"),
-        ("message: Pack", "message: Overhang", "'Amps' hangs over the 3 bytes"),
+        ("message: Pack", "message: Overhang", "'Amps' exceeds the 3 bytes"),
         ("message: Pack", "message: Double", "'Volts' and 'Alarm' overlap in message 'Double'"),
         (
             "valid: [0, 250]}",
@@ -165,7 +165,7 @@ def test_pages_of_one_message_may_share_bits(write):
         ("7|16@", "7|100000@", "a signal lies beyond bit 20000"),
         ("7|16@", "7 | 100000 @", "a signal lies beyond bit 20000"),
         ("7|16@", "7// a comment\n|100000@", "a signal lies beyond bit 20000"),
-        ("Speed: 8 ", "Speed: 100000 ", "is not read: it is too long"),
+        ("Speed: 8 ", "Speed: 100000 ", "is not read: it has more than 20000 bits"),
         ("BU_: Car", "BU_: Car\n\nSG_MUL_VAL_ 512 S Page 0-5000001;", "too many pages"),
     ],
 )

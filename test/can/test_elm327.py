@@ -244,4 +244,4 @@ def test_an_adapter_that_begins_anew_is_prepared_anew(adapter):
         wait_until(lambda: "ATMA" in car.heard)
         car.say(b"\r\rELM327 v1.5\r\r>")
         wait_until(lambda: car.heard.count("ATH1") == 2)
-        assert "began anew" in reader.status().problem
+        assert "restarted" in reader.status().problem

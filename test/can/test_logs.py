@@ -199,7 +199,7 @@ def two_buses(path, same):
 
 def test_buses_of_two_cars_are_refused_or_chosen(tmp_path):
     path = two_buses(tmp_path / "two.log", same=False)
-    with pytest.raises(InputError, match=r"two.log: can0 and can1 .* say --car can0 or"):
+    with pytest.raises(InputError, match=r"buses can0 and can1 send .* say --car can0 or"):
         list(LogFile(path).frames())
     second = [frame.data for frame in LogFile(path, "can1").frames()]
     assert len(second) == 3200 and second[8] == (7).to_bytes(2, "big")
