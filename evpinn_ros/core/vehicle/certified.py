@@ -1,11 +1,11 @@
-"""Cars whose road load is certified, and what that says before driving.
+"""Cars with a certified road load (US EPA), and their priors.
 
-A certificate tells the force on a rolling car, a + b v + c v^2, and the mass it was tested with.
-Rolling resistance and drag are the constant and the square that come nearest over the speeds of a
-coastdown: within 1.9 % (root mean square) for a usual car, 4.1 % for the worst. Efficiencies,
-which no certificate has, follow from the energies of the same tests: with a charging loss of 12 %,
-300 W of load and 300 W of a drivetrain that turns, the two cycles of 71 cars give eta 0.91 and
-mu 0.80 in the median, and 0.05 and 0.14 as their spread.
+A certificate gives the coastdown force, a + b v + c v^2, and the test mass. Rolling resistance and
+drag are the constant and quadratic coefficients that fit this force best over the speeds of a
+coastdown: within 1.9 % (root mean square) for a usual car, 4.1 % for the worst. Certificates hold
+no efficiencies; these follow from the energies of the same tests. With a charging loss of 12 %,
+300 W of auxiliary load and 300 W for a turning drivetrain, the two cycles of 71 cars give medians
+of 0.91 (eta) and 0.80 (mu), with a spread of 0.05 and 0.14.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ AIR_DENSITY = 1.167  # kg/m^3 of a certified road load: 20 degC and 98.21 kPa (S
 COASTDOWN_SPEEDS = np.arange(4.0, 32.5, 0.5)  # m/s: 115 to 15 km/h
 FRONTAL_AREA = 2.3  # m^2, not certified: only A C_d is
 
-# 1-sigma around a certificate, over the value: one to four people and luggage; tyres that were
-# replaced, inflation, road; a roof box, wheels, a window.
+# Relative 1-sigma of a car around its certificate: one to four people and luggage; other tyres,
+# inflation, road; a roof box, wheels, an open window.
 MASS_SPREAD, ROLLING_SPREAD, DRAG_SPREAD = 0.06, 0.15, 0.06
 DRIVETRAIN = {
     "eta": Prior(0.9, 0.06, f"{SOURCE}: energies of two cycles, 12 % lost in charging"),
@@ -55,7 +55,7 @@ class RoadLoad(NamedTuple):
 
     @property
     def physics(self) -> tuple[float, float, float]:
-        """Mass, kg, rolling resistance and drag area, m^2, of least relative error."""
+        """Mass, kg, c_rr and drag area, m^2, by least squares of the relative error of force."""
         columns = np.stack((np.ones_like(COASTDOWN_SPEEDS), COASTDOWN_SPEEDS**2), axis=1)
         shares = columns / self.force(COASTDOWN_SPEEDS)[:, None]
         rolling, drag = np.linalg.lstsq(shares, np.ones(len(shares)), rcond=None)[0]
@@ -64,7 +64,7 @@ class RoadLoad(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CertifiedCar:
-    """One model, with the road load of each of its tyres and batteries."""
+    """One model, with a road load for each of its certified tyres and batteries."""
 
     name: str  # for people, with the model year
     can_profile: str | None  # for its bus, if any is known
@@ -75,7 +75,7 @@ class CertifiedCar:
 
     @property
     def priors(self) -> Mapping[str, Prior]:
-        """Prior of every parameter, by the middle of its road loads."""
+        """Prior of every parameter, around the geometric mean of the road loads."""
         logs = np.log([load.physics for load in self.loads])
         mass, c_rr, area = np.exp(logs.mean(axis=0))
         spread = np.hypot((MASS_SPREAD, ROLLING_SPREAD, DRAG_SPREAD), logs.std(axis=0))
@@ -93,7 +93,7 @@ class CertifiedCar:
 
 
 def rounded_prior(value: float, share: float, source: str) -> Prior:
-    """A prior by its 1-sigma over its value, rounded to as many digits as it can have."""
+    """A prior with a relative 1-sigma, rounded to four significant digits of the value."""
     digits = 3 - math.floor(math.log10(value))
     return Prior(round(float(value), digits), round(float(value * share), digits), source)
 
@@ -104,14 +104,14 @@ def certified_cars() -> Mapping[str, CertifiedCar]:
     rows = list(csv.DictReader(bundled_lines(TABLE)))
     cars = {}
     for name in dict.fromkeys(row["name"] for row in rows):
-        own = [row for row in rows if row["name"] == name]
+        tests = [row for row in rows if row["name"] == name]
         cars["_".join(words_of(name))] = CertifiedCar(
             name,
-            own[0]["can_profile"] or None,
-            tuple(_load(row) for row in own),
-            _mean(own, "udds_wh_per_km"),
-            _mean(own, "highway_wh_per_km"),
-            own[0]["pack_of"],
+            tests[0]["can_profile"] or None,
+            tuple(_load(row) for row in tests),
+            _mean(tests, "udds_wh_per_km"),
+            _mean(tests, "highway_wh_per_km"),
+            tests[0]["pack_of"],
         )
     return cars
 
@@ -122,8 +122,8 @@ def _load(row: Mapping[str, str]) -> RoadLoad:
 
 
 def _mean(rows: list[dict[str, str]], name: str) -> float:
-    known = [float(row[name]) for row in rows if row[name]]
-    return sum(known) / len(known) if known else math.nan
+    values = [float(row[name]) for row in rows if row[name]]
+    return sum(values) / len(values) if values else math.nan
 
 
 def words_of(text: str) -> list[str]:

@@ -1,6 +1,6 @@
-"""Vehicle files: one YAML file per car model, read strictly and written; other cars by name.
+"""Reads and writes vehicle files, one YAML file per car model, and finds cars by name.
 
-A wrong file is refused with its path, the line and the reason; nothing is guessed.
+An invalid file raises `InputError` with path, line and reason; nothing is guessed.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ OPTIONAL_CONSTANTS = {
 }
 EXTENSIVE = ("mass", "p_aux")  # parameters that scale with the size of a vehicle
 LEAST_EIGENVALUE = 1e-3  # of correlations; below it one parameter follows from the others
-FEW, LIKENESS = 8, 0.6  # names that an error lists, and how like they must be
-# Value and 1-sigma of parameters that do not scale with size, of vehicles smaller and larger than
-# a car. Small drives lose more and brake less by the motor; tyres and bodies are of all kinds.
-# Without cabin and heating, computer and lights are the load; a truck or bus has larger loads.
+FEW, LIKENESS = 8, 0.6  # most names that an error lists, and least similarity of a suggestion
+# Value and 1-sigma, of vehicles smaller and larger than a car. Small drivetrains lose more and
+# regenerate less; tyres and bodies vary widely. Without cabin and heating, computer and lights are
+# the load; a truck or bus has larger loads.
 SMALL = {"eta": (0.78, 0.12), "mu": (0.5, 0.3), "c_rr": (0.012, 0.007), "c_d": (0.5, 0.25),
          "p_aux": (50.0, 60.0)}  # fmt: skip
 LARGE = {"eta": (0.86, 0.08), "mu": (0.7, 0.2), "c_rr": (0.0075, 0.003), "c_d": (0.6, 0.2),
@@ -73,7 +73,7 @@ LEAST_FACTOR = 1e-3  # all but p_aux are learned as logarithms, so none of them 
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """One car model: what is known of it, and the prior of every parameter to be learned.
+    """One car model: its constants, and the prior of every parameter to be learned.
 
     Attributes:
         key: short name, the file's stem.
@@ -86,12 +86,13 @@ class Vehicle:
         rotating_mass_factor: effective over static mass when accelerating (wheels, rotor).
         battery_capacity: usable energy, J, NaN if unknown.
         motor_ratio: rad that the motor turns per m of road, NaN if unknown; used where a bus
-            tells its torque and not its speed.
+            reports the motor's torque without its speed.
         priors: one `Prior` for each of `PARAMETER_NAMES`.
-        nominal_speed: m/s, of a path without times, NaN if unknown.
+        nominal_speed: m/s, assumed on a path without times; NaN if unknown.
         relative_size: mass over that of a passenger car (`similar_car`).
-        correlations: of two of them, in their order; 0 where a pair is not given.
-        paper_start: what the EV-PINN paper starts from, for each (eq. 24, 25); empty: `priors`.
+        correlations: of priors, by pairs of names in the order of `PARAMETER_NAMES`; pairs that
+            are missing have 0.
+        paper_start: priors of the EV-PINN paper (eq. 24, 25); if empty, it starts from `priors`.
     """
 
     key: str
@@ -128,14 +129,14 @@ class Vehicle:
 
     @property
     def in_traffic(self) -> bool:
-        """False for a robot: what is usual of roads and drivers does not apply to it."""
+        """False for a robot, to which assumptions about roads and drivers do not apply."""
         return not self.nominal_speed < SLOWEST_TRAFFIC
 
     @property
     def similar_car(self) -> Vehicle:
         """The passenger car that this vehicle is learned as (`estimation.size`).
 
-        At the same speeds all its energies are those of this one over `relative_size`.
+        At equal speeds, its energies are those of this vehicle over `relative_size`.
         """
         if self.relative_size == 1.0:
             return self
@@ -149,7 +150,7 @@ class Vehicle:
         )
 
     def of_size(self, size: float) -> Vehicle:
-        """A vehicle of which only the size is known, in place of this passenger car.
+        """A vehicle of this size relative to a passenger car, about which no more is known.
 
         Its priors are wide: it may be a robot, a three-wheeler, a truck or a bus.
         """
@@ -211,41 +212,41 @@ def vehicle_names() -> list[str]:
 
 
 def find_vehicles(text: str = "") -> dict[str, str]:
-    """Names by keys of the known cars whose name or key has all these words.
+    """Names, by key, of the known cars whose name or key contains all words of `text`.
 
     Hyphens and spaces within a word make no difference: `e208` and `e 208` are the e-208.
     """
     words = words_of(text)
-    asked = set(words), {"".join(words)}
+    spellings = set(words), {"".join(words)}
 
     def has(key: str, name: str) -> bool:
         names = _joined(words_of(key)) | _joined(words_of(name))
-        return any(some <= names for some in asked)
+        return any(spelling <= names for spelling in spellings)
 
     return {key: name for key, name in _names() if has(key, name)}
 
 
 def _joined(words: Sequence[str]) -> set[str]:
-    """The words, and what up to three of them in a row make without a space."""
+    """The words, and up to three consecutive ones joined without a space."""
     places = range(len(words))
     return {"".join(words[i:j]) for i in places for j in (i + 1, i + 2, i + 3)}
 
 
 def load_vehicle(name_or_path: str | Path) -> Vehicle:
-    """The car of a vehicle file, given by its name (`tesla_model_3_lr`) or path.
+    """The car of a vehicle file, by its name (`tesla_model_3_lr`) or path.
 
-    Certified cars (`vehicle.certified`) and rated ones (`vehicle.rated`) have names alone. Words
-    of a name will do that no other has, or that leave out its make alone.
+    Certified cars (`vehicle.certified`) and rated ones (`vehicle.rated`) have a name and no file.
+    Words suffice that match one name only, or that are one whole name without its make.
 
     Raises:
-        InputError: no such car, several, or the file is wrong; the text has file, line and reason.
+        InputError: no car or several match, or the file is invalid (with path, line and reason).
     """
     path = Path(name_or_path)
     text = str(name_or_path)
     if path.suffix in (".yaml", ".yml"):
         return _parse(path)
     if path.suffix == ".json":
-        raise InputError(f"{path}: no vehicle file, which ends in .yaml; is it a --state?")
+        raise InputError(f"{path}: a vehicle file ends in .yaml; is this a --state?")
     key = text if text in known_vehicles() else _key_of(text)
     if key in certified_cars():
         return _certified(key)
@@ -277,18 +278,16 @@ def _key_of(text: str) -> str:
         if len(keys) == 1:
             return keys[0]
     if candidates:
-        raise InputError(
-            f"no vehicle named {text!r} alone; these have such names: {_some([*candidates])}"
-        )
+        raise InputError(f"several vehicles match {text!r}: {_listing([*candidates])}")
     names = known_vehicles()
     near = get_close_matches("_".join(words), names, FEW // 2, LIKENESS)
-    meant = f"did you mean {', '.join(near)}" if near else f"known are {_some(names)}"
+    meant = f"did you mean {', '.join(near)}" if near else f"known are {_listing(names)}"
     raise InputError(
         f"no vehicle named {text!r}; {meant}; `generic` is any car, `evpinn vehicles` lists all"
     )
 
 
-def _some(names: Sequence[str]) -> str:
+def _listing(names: Sequence[str]) -> str:
     return ", ".join(names[:FEW]) + (", ..." if len(names) > FEW else "")
 
 
@@ -298,7 +297,7 @@ def _generic() -> Vehicle:
 
 
 def _rated(key: str) -> Vehicle:
-    """Prior of any car, given the ratings of this one."""
+    """The generic car, its priors conditioned on this car's ratings."""
     any_car, car = _generic(), rated_cars()[key]
     priors, correlations = car.given(any_car.priors, any_car.correlation)
     return replace(
@@ -376,7 +375,7 @@ def _priors(section: Section, size: float) -> dict[str, Prior]:
 
 
 def _correlations(section: Section) -> dict[tuple[str, str], float]:
-    """Correlations of pairs, under the one that comes first in `PARAMETER_NAMES`."""
+    """Correlations by pair; a file has each under its first name in `PARAMETER_NAMES`."""
     section.refuse_unknown(("source", *PARAMETER_NAMES))
     section.text("source")
     given = {name: section.section(name) for name in PARAMETER_NAMES if section.has(name)}
@@ -389,7 +388,7 @@ def _correlations(section: Section) -> dict[tuple[str, str], float]:
         if name in given and given[name].has(other)
     }
     if np.linalg.eigvalsh(_matrix(correlations)).min() < LEAST_EIGENVALUE:
-        raise section.error("no quantities can have these correlations together")
+        raise section.error("the matrix of correlations is not positive definite")
     return correlations
 
 
@@ -403,7 +402,7 @@ def _matrix(correlations: Mapping[tuple[str, str], float]) -> np.ndarray:
 
 
 def _can_profile(root: Section) -> str:
-    """The name of a profile, or the path of one beside the vehicle file."""
+    """The name of a profile, or its path if the file gives one, which is relative to itself."""
     name = root.text("can_profile")
     is_path = Path(name).suffix in (".yaml", ".yml")
     return str(root.path_beside("can_profile")) if is_path else name
@@ -424,18 +423,18 @@ def _prior(section: Section, name: str, limits: Limits) -> Prior:
 
 
 def write_vehicle(path: Path, vehicle: Vehicle) -> None:
-    """Write a vehicle file, and read it back; the constants are of the file it came from.
+    """Write a vehicle file, and validate it by reading it back.
 
     Raises:
-        OSError: it cannot be written.
-        InputError: it would not be a valid vehicle file.
+        OSError: the file cannot be written.
+        InputError: the written file is not valid.
     """
     write_file(path, vehicle_text(vehicle, path.parent))
     load_vehicle(path)
 
 
 def vehicle_text(vehicle: Vehicle, folder: Path) -> str:
-    """The content of a vehicle file for a folder; a comment names a CAN profile elsewhere."""
+    """The content of a vehicle file in `folder`; a comment names a CAN profile outside of it."""
     document: dict[str, Any] = {"name": vehicle.name}
     comment, profile = "", vehicle.can_profile
     if profile is not None and Path(profile).suffix in (".yaml", ".yml"):
@@ -454,8 +453,8 @@ def vehicle_text(vehicle: Vehicle, folder: Path) -> str:
     document["parameters"] = _plain_priors(vehicle.priors)
     if vehicle.correlations:
         document["correlations"] = {"source": f"vehicle {vehicle.key}"}
-        for (one, other), value in vehicle.correlations.items():
-            document["correlations"].setdefault(one, {})[other] = value
+        for (name, other), value in vehicle.correlations.items():
+            document["correlations"].setdefault(name, {})[other] = value
     if vehicle.paper_start:
         document["paper_start"] = _plain_priors(vehicle.paper_start)
     return comment + yaml.safe_dump(document, sort_keys=False, width=99)

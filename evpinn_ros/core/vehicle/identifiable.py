@@ -33,11 +33,11 @@ POWERS: Mapping[str, Mapping[str, float]] = {
     "regeneration": {"eta": 1.0, "mu": 1.0},
     "p_aux": {"p_aux": 1.0},
 }
-"""Powers of the parameters in each."""
+"""Exponents of the parameters in each combination."""
 
 
 def identifiable(parameters: Parameters, area: float) -> Identifiable:
-    """The identifiable combinations of a full set of parameters; area in m^2."""
+    """The identifiable combinations of a set of parameters; frontal area in m^2."""
     return Identifiable(
         mass_over_eta=parameters.mass / parameters.eta,
         drag_area_over_eta=area * parameters.c_d / parameters.eta,

@@ -27,7 +27,7 @@ class Limits(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A parameter for people: a word for it, its unit, its decimals; and its limits."""
+    """How a parameter is shown: word, unit and decimals; and its limits."""
 
     word: str
     unit: str
@@ -48,7 +48,7 @@ QUANTITIES = {
     "p_aux": Quantity("auxiliary", "W", 0, Limits(0.0, 50_000.0)),
 }
 PARAMETER_NAMES = tuple(QUANTITIES)
-LIMITS: Mapping[str, Limits] = {name: each.limits for name, each in QUANTITIES.items()}
+LIMITS: Mapping[str, Limits] = {name: shown.limits for name, shown in QUANTITIES.items()}
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,9 @@
 
 European road loads are not public, but these three numbers are. Battery divided by range is the
 energy per metre of the test cycle, the sum of rolling, drag and losses. The prior of a rated car
-is that of any car, given these facts (a Kalman update in logarithms): they fix the mass and the
-sum. How the sum divides stays nearly as uncertain as before, so the parameters become correlated.
+is the generic car's, conditioned on these facts (a Kalman update in logarithms), which fix the
+mass and the sum. The shares of the sum stay nearly as uncertain as before, so the parameters
+become correlated.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from evpinn_ros.core.vehicle.physics import GRAVITY
 
 TABLE = "config/rated/wltp.csv"
 SOURCE = "any car, given curb mass, usable battery and WLTP range"
-FACTORS = ("eta", "mu", "mass", "c_rr", "c_d")  # parameters that the energy of the cycle has
+FACTORS = ("eta", "mu", "mass", "c_rr", "c_d")  # parameters of the cycle's energy
 AIR_DENSITY = 1.2  # kg/m^3 at 20 degC
-# Means over the way of the cycle WLTC class 3b (UN GTR 15), driving and braking: share of the way;
-# speed squared, m^2/s^2; acceleration, m/s^2. For masses from 1300 to 2500 kg they change by 2 %
-# (driving) and 10 % (braking), which is neglected.
+# WLTC class 3b (UN GTR 15), driving and braking: share of the distance; means over the distance of
+# speed squared, m^2/s^2, and acceleration, m/s^2. For masses from 1300 to 2500 kg they change by
+# 2 % (driving) and 10 % (braking), which is neglected.
 DRIVING, BRAKING = (0.768, 442.6, 0.1316), (0.232, 72.0, -0.1316)
-# N: 300 W of standing load on a mild day and 300 W of a drivetrain that turns, as of certified
+# N: 300 W of auxiliary load on a mild day and 300 W for a turning drivetrain, as for certified
 # cars, over the 1800 s and 23,266 m of the cycle.
 CYCLE_LOAD = 600.0 * 1800.0 / 23266.0
-ROTATING = 1.03  # effective over static mass, as of certified cars
-PEOPLE = 110.0  # kg beside the curb mass: one or two people and a bag, in the mean
+ROTATING = 1.03  # effective over static mass, as for certified cars
+PEOPLE = 110.0  # kg above the curb mass, on average: one or two people and a bag
 # Computed from certified road loads, the cycle takes 1.10 times the rated energy: the mean of 13
 # models that have both, with the 1-sigma of its logarithm.
 OPTIMISM, ENERGY_SPREAD = 1.10, 0.10
@@ -64,11 +65,11 @@ class RatedCar:
     def given(
         self, priors: Mapping[str, Prior], correlation: np.ndarray
     ) -> tuple[dict[str, Prior], dict[tuple[str, str], float]]:
-        """Prior of this car and its correlations, from those of any car.
+        """Priors of this car, and their correlations by pairs of names.
 
         Args:
-            priors: of any car.
-            correlation: of `FACTORS`, the first five parameters, shape (5, 5) or more.
+            priors: of the generic car.
+            correlation: of these; the first five rows and columns are `FACTORS`.
         """
         count = len(FACTORS)
         start = np.log([priors[name].value for name in FACTORS])
@@ -83,7 +84,7 @@ class RatedCar:
             mean = start + gain @ (facts - expected - rows @ (start - mean))
         covariance = before - gain @ rows @ before
         spread = np.sqrt(np.diag(covariance))
-        now = {
+        posterior = {
             name: rounded_prior(
                 float(np.exp(mean[i])), float(spread[i]), f"{SOURCE}: {self.source}"
             )
@@ -94,13 +95,13 @@ class RatedCar:
             for i in range(count)
             for j in range(i + 1, count)
         }
-        return {**now, "p_aux": priors["p_aux"]}, pairs
+        return {**posterior, "p_aux": priors["p_aux"]}, pairs
 
 
 def cycle_energy(values: np.ndarray) -> float:
-    """Energy of the cycle over its length, J/m, by the values of `FACTORS`, shape (5,).
+    """Energy of the cycle per distance, J/m, for values of `FACTORS`, shape (5,).
 
-    C_d is of `FRONTAL_AREA`, as of `generic`.
+    C_d refers to `FRONTAL_AREA`, as in `generic`.
     """
     eta, mu, mass, c_rr, c_d = values
     forces = np.array(

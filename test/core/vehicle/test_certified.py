@@ -112,10 +112,10 @@ def test_a_car_by_words_of_its_name(text, key):
 
 
 def test_names_of_several_cars_and_of_none():
-    with pytest.raises(InputError, match=r"no vehicle named 'model 3' alone; .*performance_awd"):
+    with pytest.raises(InputError, match=r"several vehicles match 'model 3': .*performance_awd"):
         load_vehicle("model 3")
     # One car has a short name; its make alone names no car of the eight.
-    with pytest.raises(InputError, match=r"no vehicle named 'bmw' alone; .*bmw_i3, bmw_i4"):
+    with pytest.raises(InputError, match=r"several vehicles match 'bmw': .*bmw_i3, bmw_i4"):
         load_vehicle("bmw")
     with pytest.raises(InputError, match="did you mean porsche_taycan_turbo_2022"):
         load_vehicle("porsche taican turbo 2022")

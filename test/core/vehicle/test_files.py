@@ -175,7 +175,7 @@ def test_correlations_of_parameters(car):
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ("c_rr: 0.2", "c_rr: 0.9", "can have these correlations together"),
+        ("c_rr: 0.2", "c_rr: 0.9", "correlations is not positive definite"),
         ("c_rr: 0.2", "c_rr: 1.2", "outside [-1, 1]"),
         ("c_rr: 0.2", "eta: 0.2", "unknown key 'eta'; known are c_rr, c_d, p_aux"),
         ("source: a sheet, mass", "mass", "'source' is missing"),
