@@ -2,8 +2,7 @@
 
 Four kinds are refused: what no sensor of a road vehicle reads (`readings.RANGES`), what this car
 cannot do (`CarLimits`), values that a bus sends in place of a measurement (`SENTINELS`), and
-speeds that leap. A speed that leaps counts again once a second reading confirms it, which the
-same sentinel again does not.
+speeds that leap. A second reading confirms a speed that leapt; a repeated sentinel does not.
 """
 
 from __future__ import annotations
@@ -45,12 +44,12 @@ SENTINELS = frozenset(
 )
 HARDEST = 10.0  # m/s^2, of braking on a dry road; a faster change waits for a second reading
 SPEED_UNITS = (1.0, 3.6, 3600.0 / 1609.344)  # of a bus: m/s, km/h, mph
-LEAST_SENTINEL = 100.0  # A; smaller currents, and smaller changes of it, are measured
+LEAST_SENTINEL = 100.0  # A; smaller currents, and smaller changes of current, are no sentinels
 VOLTAGE_LEAP = 0.25  # share of the last voltage by which a sentinel differs from it
 
 
 class CarLimits(NamedTuple):
-    """Most that battery and motor of a car can give or take: W, V and A."""
+    """Largest power, W, voltage, V, and current, A, of a car's battery."""
 
     power: float = MAX_POWER
     voltage: float = MAX_VOLTAGE
@@ -65,7 +64,7 @@ class CarLimits(NamedTuple):
         return cls(power, min(voltage, MAX_VOLTAGE), min(current, MAX_CURRENT))
 
     def allow(self, voltage: Any, current: Any) -> Any:
-        """True where the car can do what a battery says, V and A; NaN is unknown, and allowed."""
+        """True where voltage, V, current, A, and their power are within the limits, or NaN."""
         beyond = abs(drawn_power(voltage, current)) > self.power
         beyond |= (abs(voltage) > self.voltage) | (abs(current) > self.current)
         return np.logical_not(beyond)
@@ -121,7 +120,7 @@ class Admission:
     def _refuse(
         self, counts: np.ndarray, why_not: Callable[..., str | None], *columns: np.ndarray
     ) -> None:
-        """Take rows for which there is a reason out of those that count, shape (n,)."""
+        """Clear `counts`, shape (n,), of rows with a reason by `why_not`; count the reasons."""
         rows = [*zip(*(column.tolist() for column in columns), strict=True)]
         for index in np.flatnonzero(counts).tolist():
             if (reason := why_not(*rows[index])) is not None:
@@ -164,6 +163,6 @@ def _leaps(before_ns: int, before: float, after_ns: int, after: float) -> bool:
 
 
 def _sentinel(value: float) -> str | None:
-    """The value as it is written, if a bus sends it in place of a measurement."""
+    """The value as text if it is one of `SENTINELS`, else None."""
     rounded = round(value, 3)
     return f"{rounded:g}" if abs(value - rounded) < 1e-6 and abs(rounded) in SENTINELS else None

@@ -52,8 +52,8 @@ class Block:
     """Readings in the order in which they came.
 
     Attributes:
-        length: how many places there are.
-        rows: by kind; a kind without readings has none.
+        length: number of places.
+        rows: by kind; kinds without readings are missing.
     """
 
     length: int
@@ -80,14 +80,15 @@ class Block:
 
     @classmethod
     def sorted(cls, rows: Mapping[type[Reading], Rows]) -> Block:
-        """A block of rows in order of stamps, at places in that order."""
+        """A block of rows, each kind in order of stamps, placed in order of stamps."""
         stamps = np.concatenate([np.empty(0, np.int64), *(some.stamps for some in rows.values())])
         places = np.empty(len(stamps), np.int64)
         places[stamps.argsort(kind="stable")] = np.arange(len(stamps))
         placed, begin = {}, 0
-        for kind, (_, own, values) in rows.items():
-            placed[kind] = Rows(places[begin : begin + len(own)], own, values)
-            begin += len(own)
+        for kind, (_, of_kind, values) in rows.items():
+            end = begin + len(of_kind)
+            placed[kind] = Rows(places[begin:end], of_kind, values)
+            begin = end
         return cls(len(stamps), placed)
 
     def __len__(self) -> int:
@@ -196,7 +197,7 @@ def impossible(kind: type[Reading], rows: Rows) -> list[tuple[str, np.ndarray]]:
 
 
 def _value(kind: type[Reading], field: str, rows: Rows) -> np.ndarray:
-    """A field of readings, or their load, which is the sum of two."""
+    """A field of readings, or `load`, the sum of their fields."""
     names = FIELDS[kind]
     if field in names:
         return np.asarray(rows.values[names.index(field)])

@@ -1,10 +1,9 @@
 """Detectors of faults: one hysteresis, and one table of them all.
 
 A detector is a value: `after` gives the detector after one more observation, `detected` names
-the fault that it sees now, or is None. It follows one number, its evidence, and leaves the verdict
-to a row of the table: above `on` there is the fault, at or below `off` there is none, and in
-between the verdict stays. Less than `least` of what the evidence rests on changes no verdict.
-`docs/reference/detectors.md` is made from the table.
+the fault that it sees now, or is None. It follows one number, its evidence, and a row of the table
+gives the verdict: a fault above `on`, none at or below `off`; in between, and while the evidence
+rests on less than `least`, the verdict stays. `docs/reference/detectors.md` is made from it.
 
 Checks of single values are no detectors, because they have no memory: ranges (`readings`), leaps
 of speed (`kinematics.SpeedTrack.leaps`) and of altitude (`height`). Nor are jumps of time
@@ -23,13 +22,13 @@ class Hysteresis(NamedTuple):
 
     Attributes:
         fault: name.
-        evidence: what is followed.
+        evidence: quantity that is followed.
         unit: of the evidence.
         on: evidence above which there is the fault.
-        off: evidence at which, and below which, there is none.
-        least: of what the evidence rests on, before a verdict.
-        rests_on: that, with its unit.
-        effect: what follows while it is detected.
+        off: evidence at or below which there is none.
+        least: data that the evidence must rest on for a verdict, in the unit of `rests_on`.
+        rests_on: unit and kind of these data.
+        effect: consequence while the fault is detected.
     """
 
     fault: str
@@ -47,7 +46,7 @@ class Hysteresis(NamedTuple):
         Args:
             before: the verdict so far.
             evidence: now; NaN where there is none.
-            amount: of what it rests on.
+            amount: data that it rests on, in the unit of `rests_on`.
         """
         if amount < self.least:
             return before
@@ -59,9 +58,9 @@ class Hysteresis(NamedTuple):
 CURRENT_SIGN, GRADE_SIGN = "current_sign", "grade_sign"
 SPEED_STUCK, BATTERY_STUCK, SPEED_REPEATS = "speed_stuck", "battery_stuck", "speed_repeats"
 ALTITUDE_STUCK, PAYLOAD, PARAMETER = "altitude_stuck", "payload", "invalid"
-NEVER = -math.inf  # of `off`: the verdict stays until another value or stop begins anew
+NEVER = -math.inf  # as `off`: the verdict stays until another value begins a new repetition
 OF_BUS = "`evpinn can inspect` and diagnostics report it"
-NOT_LEARNED = "nothing is learned of the time of repetition"
+NOT_LEARNED = "nothing is learned from the repetition"
 
 AGAINST_INERTIA = Hysteresis(
     CURRENT_SIGN, "share of power that is against acceleration, in about a minute", "1",
@@ -75,7 +74,7 @@ DRAWN_AT_REST = Hysteresis(
     CURRENT_SIGN, "mean power drawn at rest, in about 30 s", "W", 20e3, -20e3, 0.0, "", OF_BUS
 )
 AGAINST_HILLS = Hysteresis(
-    GRADE_SIGN, "fall that energy shows over the rise reported, in about 20 km", "sigma",
+    GRADE_SIGN, "how clearly reported climb and energy contradict, in about 20 km", "sigma",
     3.0, 0.0, 2e3, "m of road", "diagnostics report it",
 )  # fmt: skip
 FINE_SPEED = Hysteresis(
@@ -100,7 +99,7 @@ ONE_ALTITUDE = Hysteresis(  # on a flat road too, the last digit of altitude cha
     ALTITUDE_STUCK, "road since the altitude changed", "m", 1e3, 0.0, 0.0, "", "height is unknown"
 )
 ANOTHER_LOAD = Hysteresis(
-    PAYLOAD, "difference of the load from that of the drive before", "sigma",
+    PAYLOAD, "payload change since the drive before", "sigma",
     3.0, 2.0, 300.0, "s of the drive", "diagnostics report it",
 )  # fmt: skip
 FAR_FROM_PRIOR = Hysteresis(

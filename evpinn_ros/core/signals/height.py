@@ -1,4 +1,4 @@
-"""Height of the road along the way: what was measured, averaged around a place."""
+"""Height of the road by the odometer: measured heights, averaged around a place."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from evpinn_ros.core.signals.detector import ALTITUDE_STUCK, ONE_ALTITUDE
 REACH = 75.0  # m to either side over which heights are averaged; GNSS and barometers stray
 LEAST_STEP = 0.5  # m between two heights that are kept; a standing car adds none
 MARGIN = 4.0 * REACH  # m of road kept behind, where a car may reverse
-KNOWN_WITHIN = 300.0  # m since the last height, then the height counts as unknown
+KNOWN_WITHIN = 300.0  # m of road after the last height, then height counts as unknown
 STEEPEST = 0.3  # rise over run of the steepest streets
-LEAP = 30.0  # m more than that between two altitudes; GNSS strays less once it has a fix
+LEAP = 30.0  # m beyond `STEEPEST` between two altitudes; GNSS strays less once it has a fix
 
 
 class Rise(NamedTuple):
@@ -62,7 +62,7 @@ class AltitudeDetector:
 
 
 class HeightProfile:
-    """Heights by the odometer, their average a moving integral."""
+    """Heights by the odometer; their cumulative integral gives averages."""
 
     def __init__(self) -> None:
         """A profile without a height."""
@@ -74,11 +74,11 @@ class HeightProfile:
         """Add a height, m, at an odometer reading, m, beyond the last."""
         if self._odometer and odometer - self._odometer[-1] < LEAST_STEP:
             return
-        before = 0.0
+        integral = 0.0
         if self._odometer:
             step = odometer - self._odometer[-1]
-            before = self._integral[-1] + step * (height + self._height[-1]) / 2
-        for column, value in zip(self._columns, (odometer, height, before), strict=True):
+            integral = self._integral[-1] + step * (height + self._height[-1]) / 2
+        for column, value in zip(self._columns, (odometer, height, integral), strict=True):
             column.append(value)
 
     def forget_before(self, odometer: float) -> None:
@@ -90,13 +90,13 @@ class HeightProfile:
 
     @property
     def seen(self) -> float:
-        """Up to where heights are known, m by the odometer; -inf before the first."""
+        """Odometer up to which heights are known, m; -inf before the first."""
         return self._odometer[-1] if self._odometer else -math.inf
 
     def means_around(self, odometers: np.ndarray, seen: float) -> np.ndarray | None:
-        """Heights averaged `REACH` to either side of places, m, as far as known, shape (n,).
+        """Heights averaged over up to `REACH` to either side of places, m, shape (n,).
 
-        Heights up to `seen` are used; None if one of the places is not among them.
+        Uses heights up to `seen`; None if a place is more than `REACH` away from these.
         """
         count = bisect_right(self._odometer, seen)
         if not count:

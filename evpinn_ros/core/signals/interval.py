@@ -3,10 +3,10 @@
 The residual of learning is energy over an interval, not power at a sample. The integral of v a is
 the difference of v^2 / 2 and that of v sin(grade) the difference of height, exactly, so no
 acceleration is needed; battery energy is integrated between the battery's own stamps. An interval
-is 10 s of a fast bus or a polled car and some readings of a phone's log, by the same code (the
-variational form of a PINN: Kharazmi 2019; of system identification: Messenger and Bortz 2021). In
-shorter ones slow errors would count as white noise. Where the battery drops out an interval ends,
-so that all that was measured is learned from.
+lasts 10 s on a fast bus or a polled car, longer in a phone's slow log (the variational form of a
+PINN: Kharazmi 2019; of system identification: Messenger and Bortz 2021). In shorter ones slow
+errors would count as white noise. An interval ends where the battery drops out, so that all
+measured energy is learned from.
 
 Within an interval, steps of at least `STEP` keep driving and braking apart.
 """
@@ -29,10 +29,10 @@ from evpinn_ros.core.signals.road import Conditions, Road
 from evpinn_ros.core.signals.track import LATER, NEVER
 
 STEP = 0.5  # s, shortest step within an interval
-DURATION = 10.0  # s, shortest interval, but for one that a dropout or a gap ends
-READINGS = 6  # usual steps of the slower signal that an interval spans at least
-# Speed after an edge that its own is smoothed with, ns. By a local quadratic: a mean flattens the
-# ups and downs of speed, which made m/eta 0.7 % too large.
+DURATION = 10.0  # s, shortest interval, except one that a dropout or a gap ends
+READINGS = 6  # least length of an interval in usual steps of the slower signal
+# Time after an edge, ns, whose speeds smooth the speed at the edge, by a local quadratic: a mean
+# flattens the ups and downs of speed, which made m/eta 0.7 % too large.
 EDGE_AHEAD_NS = 250_000_000
 LEAST_STEP_NS = int(STEP * NANOSECONDS) - LAG_TOLERANCE_NS
 LOAD = Conditions._fields.index("load")
@@ -48,9 +48,9 @@ class Steps(NamedTuple):
         air: integral of flow |flow| v with the flow of air against the car, m^3/s^2.
         kinetic: difference of v^2 / 2, J/kg.
         climb: difference of height, m; 0 where unknown.
-        motor_drive: energy of the motor where it drives, J, NaN while unknown, as in a plan.
-        motor_brake: the same where it brakes, positive J.
-        motor_scaled: True if these are in J; False if the unknown gear ratio scales them.
+        motor_drive: energy of the motor while it drives, J; NaN if unknown, as in plans.
+        motor_brake: the same while it brakes, positive J.
+        motor_scaled: True if these are in J; False if an unknown gear ratio scales them.
     """
 
     duration: np.ndarray
@@ -70,16 +70,16 @@ class Steps(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Some seconds of driving.
+    """Driving between two stamps, with its battery energy.
 
     Attributes:
         start_ns: begin.
         end_ns: end.
-        steps: what the car did.
-        conditions: air, temperature and reported loads; the loads are the mean over it.
+        steps: motion of the car.
+        conditions: at its end; the load is the mean over the interval.
         height_known: whether `climb` is measured.
         energy: drawn from the battery, J, NaN where not measured.
-        sampling_variance: of that, due to the rate of its readings, J^2.
+        sampling_variance: variance of `energy` due to the battery's sampling rate, J^2.
         leaps: whether speed changed by more than tyres can: wheels slipped, or the signal failed.
         returned: the part of `energy` that went back into the battery, positive J; NaN unknown.
     """
@@ -113,10 +113,10 @@ class _Edges(NamedTuple):
         odometer: m.
         air: integral of the air's flow since the start, m^3/s^2.
         motor: energy of driving and of braking since the edge before, J, shape (n, 2).
-        around: `Conditions`, shape (n, 5).
+        around: columns of `Conditions`, shape (n, 5).
         leapt: whether speed changed since the edge before by more than tyres can.
         speed: m/s, smoothed.
-        seen: how far heights were known once it was added, m by the odometer.
+        seen: odometer up to which heights were known when the edge was added, m.
     """
 
     stamps: np.ndarray
@@ -129,7 +129,7 @@ class _Edges(NamedTuple):
     seen: np.ndarray
 
     def where(self, chosen: slice) -> _Edges:
-        """Those of a slice."""
+        """The edges of a slice."""
         return _Edges._make(column[chosen] for column in self)
 
 
@@ -140,22 +140,22 @@ NO_EDGES = _Edges(
 
 
 class IntervalBuilder:
-    """Cuts a drive into intervals from tracks that others fill, up to the newest speed.
+    """Cuts a drive into intervals, up to the newest speed of its tracks, which the owner fills.
 
-    An interval is ready once the battery is known on both sides of it and the car has gone
-    `height.REACH` beyond it, so that heights are averages around a place. After `WAIT_NS` it is
-    ready without them.
+    An interval is ready once the battery is known on both sides of it and heights are known
+    `height.REACH` beyond it, so that they are averages around a place; after `WAIT_NS` it is ready
+    without either.
     """
 
     def __init__(
         self, speed: SpeedTrack, battery: BatteryTrack, motor: MotorTrack, road: Road
     ) -> None:
-        """Begin without an interval; others fill the tracks."""
+        """Start without an edge."""
         self._speed, self._battery, self._motor, self._road = speed, battery, motor, road
         self._height = HeightProfile()
         self._edges = NO_EDGES  # from the first edge of the next interval on
-        self._begin = 0  # place in these of the first edge of the interval that is not complete
-        self._complete: deque[tuple[int, int]] = deque()  # places of first and last edges
+        self._begin = 0  # index of the first edge of the open interval
+        self._complete: deque[tuple[int, int]] = deque()  # indices of first and last edges
         self._looked_ns = NEVER  # up to here no complete interval was ready
 
     @property
@@ -164,7 +164,7 @@ class IntervalBuilder:
         return int(self._edges.stamps[0]) if len(self._edges.stamps) else LATER
 
     def intervals(self) -> Iterator[tuple[int, Interval]]:
-        """Yields the intervals that are ready, with the stamps of the speeds that made them so."""
+        """Yields (stamp of the speed that made it ready, interval)."""
         self._add_edges()
         while self._complete:
             ready_ns = self._ready_ns(self._complete[0][1])
@@ -177,7 +177,7 @@ class IntervalBuilder:
         self._forget()
 
     def finish(self) -> Iterator[Interval]:
-        """Yields the waiting intervals, with what is known, at the end of a drive or at a gap.
+        """Yields the waiting intervals as they are, at the end of a drive or at a gap.
 
         The last edge stays: the next interval begins there.
         """
@@ -199,7 +199,7 @@ class IntervalBuilder:
             self._height.forget_before(float(self._edges.odometer[0]))
 
     def _add_edges(self) -> None:
-        """Take the edges up to the moment from which more speeds are needed."""
+        """Add edges at the speeds that can be smoothed by now."""
         edges, new_ns = self._edges, self._next_edges()
         if not len(new_ns):
             return
@@ -224,7 +224,7 @@ class IntervalBuilder:
         self._end_intervals(len(edges.stamps))
 
     def _next_edges(self) -> np.ndarray:
-        """Stamps of speed at least `STEP` apart, up to the moment from which more are needed."""
+        """Stamps of speeds at least `STEP` apart, up to the last that can be smoothed by now."""
         stamps = self._speed.stamps
         stamps = stamps[: stamps.searchsorted(stamps[-1] - EDGE_AHEAD_NS, side="right")]
         last_ns = self._edges.stamps[-1:]
@@ -237,7 +237,7 @@ class IntervalBuilder:
         return np.asarray(stamps[places])
 
     def _add_heights(self, stamps: np.ndarray, odometer: np.ndarray) -> np.ndarray:
-        """Add the heights up to each new edge; returns how far they are known at each, m."""
+        """Add the heights up to each new edge; returns `_Edges.seen` of these."""
         if not self._road.shows_heights:
             return np.full(len(stamps), self._height.seen)
         before = (self._edges.stamps, stamps), (self._edges.odometer, odometer)
@@ -272,7 +272,7 @@ class IntervalBuilder:
         end_ns, speeds = int(self._edges.stamps[last]), self._speed.stamps
         begin_ns = max(self._looked_ns, end_ns + EDGE_AHEAD_NS)
         speeds = speeds[speeds.searchsorted(begin_ns) :]
-        # By each of these speeds: what was known when it came.
+        # What was known when each of these speeds came.
         after = speeds - end_ns
         battery = speeds >= self._battery.first_after(np.array([end_ns]))
         dropout = after > self._battery.gap_ns(speeds)

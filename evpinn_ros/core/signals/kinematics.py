@@ -1,4 +1,4 @@
-"""Speed readings to speed and acceleration, by two methods that know their lag.
+"""Speed and acceleration from speed readings, by two methods of known lag.
 
 - `Speeds.smoothed`: a local quadratic (Savitzky-Golay for uneven steps) around a past moment,
   using speed up to `smoothing_lag` after it.
@@ -23,28 +23,28 @@ MAX_ACCELERATION = 15.0  # m/s^2, beyond tyres: a fault of the speed signal
 LEAST_LEAP = 1.0  # m/s, beyond the resolution of any bus
 LAG_TOLERANCE_NS = 10_000_000  # ns a reading may come early and still count as "that lag later"
 
-# Spans around a moment whose slope of speed is in the acceleration profile, s after it.
+# Begin and end, s after a moment, of the spans whose mean slopes make its acceleration profile.
 PROFILE_EDGES = np.array([(0.1, 0.3), (-0.3, -0.1), (-0.6, -0.4)])
 PROFILE_NS = np.rint(PROFILE_EDGES * NANOSECONDS).astype(np.int64)
 PROFILE = len(PROFILE_EDGES)
 
 TAPS = 10  # speed differences in the causal differentiator
 TAP_PERIOD = 0.1  # s between them
-UNKNOWN_FIT = np.eye(3)
+UNKNOWN_FIT = np.eye(3)  # normal matrix in place of one of too few points
 INITIAL_TAPS = 4  # the first guess is the mean slope over this many
 TAP_STD = 0.2  # 1-sigma of a weight before learning
-LOOK_BACK_NS = int((TAPS + 2) * TAP_PERIOD * NANOSECONDS)  # of speed that a moment rests on
+LOOK_BACK_NS = int((TAPS + 2) * TAP_PERIOD * NANOSECONDS)  # of past speed that a moment needs
 TARGET_STD = 0.2  # m/s^2, how far smoothed and causal acceleration lie apart
 
 
 class Motion(NamedTuple):
-    """What was driven between moments, shape (n - 1,) each.
+    """Motion between n moments, shape (n - 1,) each.
 
     Attributes:
         distance: m.
-        air: integral of the air's flow, m^3/s^2.
-        leaps: whether speed changed by more than tyres can between two readings: wheels that slip
-            or lock do that, and a fault of the signal; its resolution does not.
+        air: `Steps.air`, m^3/s^2.
+        leaps: whether speed changed by more than tyres can between two readings, because wheels
+            slip or lock, or the signal fails.
     """
 
     distance: np.ndarray
@@ -56,13 +56,13 @@ class SpeedTrack(SignalTrack):
     """The latest speeds, m/s, in order of stamps."""
 
     def driven(self, stamps: np.ndarray, head_wind: np.ndarray) -> Motion:
-        """What was driven between the stamps of n speeds.
+        """Motion between the stamps of n speeds.
 
         Between readings speed is linear, so distance and flow are exact while the flow keeps its
-        sign (Simpson's rule is, for cubes).
+        sign (Simpson's rule is exact for cubes).
 
         Args:
-            stamps: ns, in order.
+            stamps: of speeds in this track, ns, in order.
             head_wind: between them, m/s, see `Sample`, shape (n - 1,).
         """
         places = self.stamps.searchsorted(stamps)
@@ -84,14 +84,14 @@ class SpeedTrack(SignalTrack):
         )
 
     def smoothed(self, stamps: np.ndarray, ahead_ns: int) -> np.ndarray:
-        """Speeds of `Speeds.smoothed` at moments in order, from those up to `ahead_ns` after."""
+        """Speeds by `Speeds.smoothed` at moments in order, from speeds up to `ahead_ns` later."""
         zero_ns = int(stamps[0])
         speeds, moments = self.since(zero_ns - LOOK_BACK_NS, zero_ns), stamps - zero_ns
         until = speeds.stamps.searchsorted(moments + ahead_ns, side="right")
         return speeds.smoothed(moments, until)[0]
 
     def since(self, oldest_ns: int, zero_ns: int) -> Speeds:
-        """The speeds from a moment on, and some before, with stamps since `zero_ns`."""
+        """The speeds from `oldest_ns` on, and `MIN_POINTS` before, with stamps since `zero_ns`."""
         first = max(0, int(self.stamps.searchsorted(oldest_ns)) - MIN_POINTS)
         return Speeds(self.stamps[first:] - zero_ns, self.values[first:])
 
@@ -110,23 +110,23 @@ class Speeds(NamedTuple):
     def smoothed(self, moments: np.ndarray, until: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Speed, m/s, and acceleration, m/s^2, at m moments from a local quadratic around each.
 
-        Of a slow signal it goes through a reading and its two neighbours: the acceleration is
-        then the central difference, whose integral along v is that of the kinetic energy.
+        On a slow signal it goes through a reading and its two neighbours: the acceleration is
+        then the central difference, whose integral times v is that of the kinetic energy.
 
         Args:
             moments: ns, shape (m,).
-            until: how many speeds, from the first on, each may use, shape (m,).
+            until: number of speeds, from the first on, that each may use, shape (m,).
 
         Returns:
-            Both, shape (m,), or NaN for the acceleration where there are fewer than `MIN_POINTS`
-            speeds, or these lie too close together to determine it.
+            Both, shape (m,); the acceleration is NaN where fewer than `MIN_POINTS` speeds, or
+            speeds too close together, do not determine it.
         """
         if len(moments) > SMOOTHED_AT_ONCE:  # so that memory stays bounded
             return self._smoothed_in_parts(moments, until, SMOOTHED_AT_ONCE)
         back_ns = int(SMOOTHING_BACK * NANOSECONDS) + 1
         first = np.minimum(self.stamps.searchsorted(moments - back_ns), until - MIN_POINTS)
         first = np.maximum(first, 0)
-        # A row of speeds for each moment, as long as the longest; those beyond its own weigh 0.
+        # A row of speeds for each moment, as long as the longest; speeds that it lacks weigh 0.
         index = first[:, None] + np.arange((until - first).max())
         used = index < until[:, None]
         index = np.minimum(index, len(self.stamps) - 1)
@@ -138,7 +138,7 @@ class Speeds(NamedTuple):
         try:
             coefficients = np.linalg.solve(normal, basis @ self.values[index][..., None])[..., 0]
         except np.linalg.LinAlgError:
-            if len(moments) > 1:  # one of them is singular, which fails the solve of all
+            if len(moments) > 1:  # one singular matrix fails the solve of all
                 return self._smoothed_in_parts(moments, until, 1)
             few = np.array([True])
             coefficients = np.empty((1, 3))
@@ -148,9 +148,9 @@ class Speeds(NamedTuple):
     def _smoothed_in_parts(
         self, moments: np.ndarray, until: np.ndarray, size: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`smoothed` of so many moments at once."""
-        some = (slice(begin, begin + size) for begin in range(0, len(moments), size))
-        columns = zip(*(self.smoothed(moments[s], until[s]) for s in some), strict=True)
+        """`smoothed` of at most `size` moments at once."""
+        parts = (slice(begin, begin + size) for begin in range(0, len(moments), size))
+        columns = zip(*(self.smoothed(moments[p], until[p]) for p in parts), strict=True)
         speeds, accelerations = map(np.concatenate, columns)
         return speeds, accelerations
 
@@ -164,7 +164,7 @@ class Speeds(NamedTuple):
         last = time[until - 1][:, None]
         ends = (np.interp(np.minimum(seconds + e, last), time, self.values) for e in (begin, end))
         before, after = ends
-        # In whole ns, for a reading may come just as early as is tolerated.
+        # In whole ns, because a reading may come exactly `LAG_TOLERANCE_NS` early.
         begin_ns, end_ns = moments[:, None] + PROFILE_NS[:, 0], moments[:, None] + PROFILE_NS[:, 1]
         known = end_ns <= self.stamps[until - 1][:, None] + LAG_TOLERANCE_NS
         known &= begin_ns >= self.stamps[0]
@@ -173,7 +173,7 @@ class Speeds(NamedTuple):
     def differences(self, moments: np.ndarray) -> np.ndarray:
         """Mean slopes of speed over the last `TAPS` periods before moments, newest first, m/s^2.
 
-        Between readings speed is taken as linear; before the first as constant. Shape (m, TAPS).
+        Shape (m, TAPS). Speed is linear between readings, and constant before the first.
         """
         grid = (moments / NANOSECONDS)[:, None] - TAP_PERIOD * np.arange(TAPS + 1)
         speed = np.interp(grid, self.time, self.values)
@@ -181,9 +181,9 @@ class Speeds(NamedTuple):
 
 
 def profile(slopes: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-    """Acceleration profiles around moments: what one number for it leaves out.
+    """Acceleration profiles: slopes around moments less the acceleration there, m/s^2.
 
-    Slopes, shape (n, PROFILE), less the acceleration, shape (n,), m/s^2; 0 where not known.
+    Shapes (n, PROFILE) and (n,); the profile is 0 where the slope is NaN.
     """
     beyond = slopes - acceleration[:, None]
     return np.where(np.isnan(beyond), 0.0, beyond)
@@ -201,7 +201,7 @@ class Taps(NamedTuple):
     products: np.ndarray
 
     def weights(self, counts: np.ndarray) -> np.ndarray:
-        """Weights after so many accelerations, which rise, shape (n, TAPS)."""
+        """Weights after each of n counts of accelerations, shape (n, TAPS)."""
         used, which = np.unique(counts, return_inverse=True)
         solved = np.linalg.solve(self.information[used], self.products[used][..., None])[..., 0]
         return np.asarray(solved[which])
@@ -211,9 +211,8 @@ class CausalDifferentiator:
     """Acceleration of the newest moment from the speeds up to it, learned while driving.
 
     Recursive least squares (Haykin, Adaptive Filter Theory, ch. 10, without forgetting) of the
-    smoothed acceleration on the last speed differences, in its information form, whose sums of a
-    block are cumulative. No battery signal is used, so it works and goes on learning during a
-    dropout.
+    smoothed acceleration on the last speed differences, in information form, where a block needs
+    cumulative sums alone. It uses no battery signal, so it works and learns during a dropout.
 
     Attributes:
         information: shape (TAPS, TAPS).

@@ -1,4 +1,4 @@
-"""The newest speed, from which power is predicted at once, before anything waits."""
+"""The newest speeds as they arrive, from which power is predicted without waiting."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class NewestSpeeds(NamedTuple):
         speed: m/s, shape (n,).
         differences: of speed before each (`kinematics.Speeds.differences`), shape (n, TAPS).
         slopes: around each (`kinematics.Speeds.slopes`), shape (n, PROFILE).
-        motor_power: W, by the last torque that came, NaN where that is not known, shape (n,).
+        motor_power: W, by the last torque that arrived, NaN where unknown, shape (n,).
         told_ns: stamps of the newest battery reading before each, `NEVER` before any, shape (n,).
-        told_power: its power, W, shape (n,).
+        told_power: power of that reading, W, shape (n,).
     """
 
     stamps: np.ndarray
@@ -53,7 +53,7 @@ class NewestSpeeds(NamedTuple):
         return NewestSpeeds._make(column[chosen] for column in self)
 
     def until(self, stamp_ns: int) -> tuple[NewestSpeeds, NewestSpeeds]:
-        """Speeds that came when everything before a stamp was learned, and the others."""
+        """Speeds whose `known_ns` is before a stamp, and the others."""
         count = int(self.known_ns.searchsorted(stamp_ns))
         return self.where(slice(count)), self.where(slice(count, None))
 
@@ -65,7 +65,7 @@ NO_SPEEDS = NewestSpeeds(
 
 
 class Moved(NamedTuple):
-    """What one speed shows: columns of `NewestSpeeds`."""
+    """Columns of `NewestSpeeds` of one speed."""
 
     differences: list[float]
     slopes: list[float]
@@ -81,12 +81,12 @@ class NewestTrack:
     """Follows the speed as it comes, and the battery beside it (`battery`)."""
 
     def __init__(self, max_gap: float, motor_ratio: float) -> None:
-        """Join no speed across a gap (see `SignalTrack`); rad that the motor turns per m."""
+        """Start empty; max_gap as in `SignalTrack`, motor_ratio in rad per m, NaN if unknown."""
         self.battery = ToldTrack()
         self._max_gap, self._speed = max_gap, SpeedTrack(max_gap)
         self._ratio = NOMINAL_RATIO if math.isnan(motor_ratio) else motor_ratio
-        self._motor_ns, self._torque, self._turning = NEVER, math.nan, math.nan  # the last told
-        # Speeds that came one by one and are not in the track yet, behind the latest of it.
+        self._motor_ns, self._torque, self._turning = NEVER, math.nan, math.nan  # the last reading
+        # The latest speeds; the last `_new` of them came one by one and are not in the track yet.
         self._latest: list[tuple[int, float]] = []
         self._new = 0
 
@@ -104,9 +104,9 @@ class NewestTrack:
         )  # fmt: skip
 
     def add_speed(self, stamp_ns: int, speed: float) -> Moved | None:
-        """Take one speed as it comes; None where it is not the newest, or comes after a gap.
+        """Add one speed; None if it is not the newest, or follows a gap: then call `add`.
 
-        The scalar twin of `add`, which is to be used after a gap.
+        The scalar version of `add`.
         """
         if not self._latest and len(self._speed):
             track = self._speed
@@ -145,7 +145,7 @@ class NewestTrack:
     def add(
         self, arrived: Mapping[type[Reading], Arrived], told: ToldPower = NOTHING_TOLD
     ) -> NewestSpeeds:
-        """Take what came, the battery as `told`; the speeds that are newer than all before."""
+        """Add arrived readings, the battery's as `told`; returns speeds newer than all before."""
         self._extend()
         self._latest = []
         speeds, motor = arrived.get(SpeedReading, NO_ARRIVALS), arrived.get(MotorReading)
@@ -176,7 +176,7 @@ class NewestTrack:
         return differences, slopes
 
     def _motor_power(self, motor: Arrived | None, speeds: Arrived) -> np.ndarray:
-        """Power by the last torque that came before speeds, W; NaN where it is too long ago."""
+        """Power by the last torque that arrived before each speed, W; NaN where it is too old."""
         if motor is None and math.isnan(self._torque):
             return np.full(len(speeds.stamps), np.nan)
         told_ns, values = np.array([self._motor_ns]), np.array([[self._torque], [self._turning]])
@@ -193,7 +193,7 @@ class NewestTrack:
 
 
 def _interpolated(latest: Sequence[tuple[int, float]], after_ns: Sequence[int]) -> list[float]:
-    """Speeds at moments ns after the last, which fall; before the first it is constant."""
+    """Speeds at moments after the last, ns, in falling order; constant before the first."""
     now_ns, place, speeds = latest[-1][0], len(latest) - 1, []
     for moment_ns in after_ns:
         moment_ns += now_ns

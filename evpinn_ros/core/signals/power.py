@@ -18,7 +18,7 @@ from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, drawn_
 from evpinn_ros.core.signals.track import LATER, NEVER, SignalTrack
 
 BRIDGE_SHARE = 1.0 / 12.0  # variance of the integral of a Brownian bridge, per step^2 and rise^2
-TIMING = 0.2  # of a signal's usual step, 1-sigma by which its stamps are off
+TIMING = 0.2  # 1-sigma of a signal's stamps as a share of its usual step
 COARSE = FIELDS[BatteryReading].index("power_std")
 NOMINAL_RATIO = 27.0  # rad/m: a gear of 9 and tyres that roll on 0.33 m
 
@@ -44,9 +44,9 @@ class BatteryTrack:
     """Voltage and current of the latest seconds."""
 
     def __init__(self, max_gap: float) -> None:
-        """Never interpolate across gaps (see `SignalTrack`)."""
+        """Start empty; max_gap as in `SignalTrack`."""
         self.voltage, self.current = self.tracks = SignalTrack(max_gap), SignalTrack(max_gap)
-        # W, 1-sigma of coarse readings from each stamp on; 0 where it is the sensor's own.
+        # W, 1-sigma by coarse resolution from each stamp on; 0 where it is fine.
         self._coarse_ns, self._coarse = np.array([NEVER]), np.zeros(1)
 
     @property
@@ -93,7 +93,7 @@ class BatteryTrack:
         self._coarse_ns, self._coarse = self._coarse_ns[first:], self._coarse[first:]
 
     def first_after(self, moments: np.ndarray) -> np.ndarray:
-        """First moments from which on both are known at others, `LATER` while one is not."""
+        """When both are known from `moments` on, ns; `LATER` while one is not."""
         return np.asarray(np.maximum(*(track.first_after(moments) for track in self.tracks)))
 
     def at(self, moments: np.ndarray) -> np.ndarray:
@@ -107,10 +107,10 @@ class BatteryTrack:
     def energy(self, start_ns: int, end_ns: int) -> Energy:
         """Energy drawn between two moments.
 
-        The trapezoid between readings of the current. Power moves between them as it moves from
-        one to the next, so its integral is uncertain as that of a Brownian bridge; and what a
-        slow signal shows was so some part of its step ago, which moves the ends of the interval.
-        Coarse readings that repeat have one error, the others each its own.
+        Trapezoids between readings of the current. Between two readings power varies like a
+        Brownian bridge, scaled by their difference; a slow signal's stamps are off by part of its
+        step, which moves the ends of the interval. Repeated coarse readings share one error;
+        others have independent errors.
         """
         if not self.covered(np.array([start_ns, end_ns]))[0]:
             return UNMEASURED
@@ -130,28 +130,28 @@ class MotorTrack:
     """Power at the motor shaft, W, positive when it drives, where a bus reports its torque."""
 
     def __init__(self, max_gap: float, ratio: float) -> None:
-        """Take the motor's turning from its own speed, else from the car's.
+        """Start empty; a reading without motor speed takes the car's speed times `ratio`.
 
         Args:
             max_gap: s, see `SignalTrack`.
-            ratio: rad that the motor turns per m of road; `NOMINAL_RATIO` where it is NaN.
+            ratio: rad that the motor turns per m of road; if NaN, `NOMINAL_RATIO`.
         """
         self.power = SignalTrack(max_gap)
         self._scaled_from = LATER if math.isnan(ratio) else NEVER
         self._ratio = NOMINAL_RATIO if math.isnan(ratio) else ratio
 
     def scaled(self, moments: Any) -> Any:
-        """True if it is in W; False if the unknown gear ratio scales it."""
+        """True where power is in W; False where an unknown gear ratio scales it."""
         return np.less_equal(self._scaled_from, moments)
 
     def extend(self, rows: Rows, speed: SpeedTrack) -> None:
-        """Take the readings that follow; before the first speed they tell nothing."""
+        """Take the readings that follow; those before the first speed are ignored."""
         index = speed.stamps.searchsorted(rows.stamps, side="right") - 1
         rows, index = rows.where(index >= 0), index[index >= 0]
         self.power.extend(rows.stamps, self.powers(rows, speed.values[index]))
 
     def powers(self, rows: Rows, car_speed: np.ndarray) -> np.ndarray:
-        """Power of readings at speeds of the car, m/s, W; of any order."""
+        """Power of readings, W, shape (n,), at speeds of the car, m/s, shape (n,)."""
         torque, turning = rows.values
         known = ~np.isnan(turning)
         if known.any():
@@ -159,7 +159,7 @@ class MotorTrack:
         return np.asarray(torque * np.where(known, turning, self._ratio * car_speed))
 
     def at(self, moments: np.ndarray, until: np.ndarray) -> np.ndarray:
-        """Power at moments, W, by readings up to others, ns; the last one where none is later."""
+        """Power at moments, W, from readings up to `until`, ns: the last one if none is later."""
         if not len(self.power):
             return np.full(len(moments), np.nan)
         between = self.power.first_after(moments) <= until
@@ -188,7 +188,7 @@ def _trapezoid(power: np.ndarray, step: np.ndarray) -> float:
 
 
 def _square_of_runs(power: np.ndarray, step: np.ndarray) -> float:
-    """Sum of the squares of the times, s, that equal readings in a row stand for."""
+    """Sum of the squared durations, s^2, of runs of equal readings."""
     stands_for = (np.append(step, 0.0) + np.concatenate(([0.0], step))) / 2.0
     run = np.concatenate(([0], np.cumsum(np.diff(power) != 0.0)))
     return float((np.bincount(run, stands_for) ** 2).sum())

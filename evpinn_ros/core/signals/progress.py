@@ -23,8 +23,8 @@ def reported(
     for item in items:
         stamp_ns = stamp_of(item)
         first_ns = stamp_ns if first_ns is None else first_ns
-        done = (stamp_ns - first_ns) / NANOSECONDS
-        if progress is not None and done - reported >= 1.0:
-            progress(done)
-            reported = done
+        seconds = (stamp_ns - first_ns) / NANOSECONDS
+        if progress is not None and seconds - reported >= 1.0:
+            progress(seconds)
+            reported = seconds
         yield item

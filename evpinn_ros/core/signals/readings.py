@@ -1,8 +1,8 @@
 """Readings of a sensor at one moment: the values that enter every core of this package.
 
 Stamps are integer nanoseconds of the moment the car measured the value, never of arrival. Units
-are SI (REP-103). A reading holds no policy: `why_impossible` judges its range, ordering and
-pairing are in `signals.stream`.
+are SI (REP-103). `why_impossible` checks ranges; `signals.reorder` sorts readings, and
+`signals.power` joins voltage and current.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DRIVE_START_NS = 1_577_836_800 * NANOSECONDS
 
 MOST_STAMP = 2**61  # ns either way: ROS has seconds of 32 bits, and differences must not overflow
 
-# Ranges of what can be: a reading beyond is a fault of its sensor, and dropped.
+# Possible ranges: a reading outside is a fault of its sensor, and dropped.
 MAX_SPEED = 100.0  # m/s, no production car
 MIN_VOLTAGE = 10.0  # V, below it no traction battery is connected, and there is no power
 MAX_VOLTAGE = 2000.0  # V
@@ -31,28 +31,28 @@ MAX_WIND = 60.0  # m/s, a hurricane
 GRADE_LIMIT = 0.3  # rad; steeper than any public road, so a fault of the source
 TEMPERATURES = (-70.0, 70.0)  # degrees Celsius
 SENSOR_STD = 30.0  # W, 1-sigma of measured power near zero: pack sensors of traction batteries
-SENSOR_SHARE = 0.01  # and of the reading; typical; no car reports it on its bus
+SENSOR_SHARE = 0.01  # 1-sigma as a share of the reading; typical, as no car reports it on its bus
 
 Numbers = TypeVar("Numbers", float, np.ndarray)
 
 
 def drawn_power(volts: Numbers, amperes: Numbers) -> Numbers:
-    """Power drawn from the battery, W (eq. 11), of a current negative while it discharges, A.
+    """Power drawn from the battery, W (eq. 11), of floats or arrays of one shape.
 
-    Of one moment, or of n: shape (n,).
+    The current, A, is negative while the battery discharges.
     """
     drawn: Numbers = -volts * amperes
     return drawn
 
 
 def sensor_sigma(power: Any, coarse: Any) -> Any:
-    """1-sigma of measured power, W; coarse: what its resolution adds, NaN where that is fine."""
+    """1-sigma of measured power, W; coarse: 1-sigma that a coarse resolution adds, W, or NaN."""
     square = SENSOR_STD**2 + (SENSOR_SHARE * power) ** 2
     return np.sqrt(square + np.where(np.isnan(coarse), 0.0, coarse) ** 2)
 
 
 def has_position(latitude: Any, longitude: Any) -> Any:
-    """Whether degrees are of a place on Earth; a receiver without a fix tells 0, 0."""
+    """Whether latitude and longitude, degrees, are a fix; a receiver without one sends 0, 0."""
     possible = (abs(latitude) <= 90.0) & (abs(longitude) <= 180.0)
     return possible & ((latitude != 0.0) | (longitude != 0.0))
 
@@ -71,8 +71,8 @@ class BatteryReading:
     """Pack voltage, V, and current, A, of one moment, and state of charge, 0..1.
 
     The current has the sign of `sensor_msgs/BatteryState`: negative while the pack discharges.
-    What was not measured is NaN. `power_std` is the 1-sigma of their product, W, where it is
-    coarse (whole kW); NaN where it is the sensor's own.
+    Values that were not measured are NaN. `power_std` is the 1-sigma of power, W, where the source
+    has a coarse resolution (whole kW), else NaN.
     """
 
     stamp_ns: int
@@ -97,7 +97,7 @@ class GradeReading:
 
 @dataclass(frozen=True, slots=True)
 class AltitudeReading:
-    """Altitude, m, and of the same fix latitude and longitude, degrees, NaN where unknown."""
+    """Altitude, m, with latitude and longitude of the same fix, degrees, NaN where unknown."""
 
     stamp_ns: int
     altitude: float
@@ -136,7 +136,7 @@ class WindReading:
 
 @dataclass(frozen=True, slots=True)
 class AuxiliaryReading:
-    """Electric power of known auxiliary loads, W: of the heating, and of all others together."""
+    """Electric power of the auxiliary loads that the car reports, W: heating, and all others."""
 
     stamp_ns: int
     heating: float
@@ -144,7 +144,7 @@ class AuxiliaryReading:
 
     @property
     def load(self) -> float:
-        """Power of all of them, W."""
+        """Their total power, W."""
         return self.heating + self.others
 
 
@@ -179,7 +179,7 @@ Reading: TypeAlias = (
 
 
 class Bounds(NamedTuple):
-    """Range of a field of a reading; `unknown` where NaN is as good."""
+    """Range of a field of a reading; `unknown` allows NaN."""
 
     what: str  # in the reason for which a reading is dropped
     field: str
@@ -197,7 +197,7 @@ RANGES: Mapping[type[Reading], tuple[Bounds, ...]] = {
     GradeReading: (Bounds("grade", "grade", -GRADE_LIMIT, GRADE_LIMIT),),
     AltitudeReading: (Bounds("altitude", "altitude", -500.0, 9000.0),),  # where roads are
     TemperatureReading: (Bounds("temperature", "celsius", *TEMPERATURES),),
-    # From the highest road to a fair day below the sea.
+    # From the highest road to fair weather below sea level.
     PressureReading: (Bounds("pressure", "pascal", 30e3, 110e3),),
     WindReading: (Bounds("wind", "head", -MAX_WIND, MAX_WIND),),
     AuxiliaryReading: (

@@ -1,10 +1,10 @@
 """The reorder buffer: readings in any order in, columns in order of stamps out.
 
-Only this module knows arrival, lateness and doubles. Readings wait until the watermark has passed
-their stamps: the newest speed less the allowed lateness, or the newest battery reading where speed
-is silent. The watermark moves in steps of `CELL_NS`, so a live node hands on a few blocks a second
-whatever the load, and a file of minutes comes as one block. What lies behind works in event time:
-order of arrival within the allowed lateness changes nothing there.
+Only this module deals with arrival, lateness and duplicates. Readings wait until the watermark has
+passed their stamps: the newest speed less the allowed lateness, or the newest battery reading
+where speed is silent. The watermark moves in steps of `CELL_NS`, so a live node hands on a few
+blocks a second whatever the load, and a file of minutes comes as one block. Later stages work in
+event time: order of arrival within the allowed lateness changes nothing there.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ ALTITUDE_LATE_NS = 2 * NANOSECONDS  # by which GNSS may be late, and still count
 MOST_WAITING = 20_000  # readings of a kind, while neither speed nor battery moves the watermark
 WHOLE_RECORDING = 1e9  # s
 SERIES = {SpeedReading: "speed", BatteryReading: "battery", MotorReading: "motor_torque"}
-"""Names of the kinds whose readings are joined, so that a late one cannot be moved."""
+"""Kinds that are interpolated: a late reading is dropped, those of others get a later stamp."""
 LATE: Mapping[type[Reading], str] = {**SERIES, AltitudeReading: "altitude"}
 
 
 class Arrived(NamedTuple):
-    """Readings of one kind that are not refused, as they came.
+    """Readings of one kind that were not dropped, in order of arrival.
 
     Attributes:
         order: their places among all readings of the block, shape (n,).
@@ -65,7 +65,7 @@ class ReorderBuffer:
 
     Attributes:
         dropped: readings that are not handed on, by reason.
-        watermark_ns: up to here all was handed on.
+        watermark_ns: stamp up to which all readings were handed on.
     """
 
     def __init__(self, allowed_lateness: float, most_waiting: int = MOST_WAITING) -> None:
@@ -83,7 +83,7 @@ class ReorderBuffer:
         self._new: list[Reading] = []  # that came one by one, and wait too
 
     def shift_battery(self, shift_ns: int) -> None:
-        """Expect battery stamps moved by so many ns: backward they are late, forward early."""
+        """Expect battery stamps shifted by `shift_ns`: late if negative, early if positive."""
         self._late_ns = self._allowed_ns + max(0, -shift_ns)
         self._silent_ns = SILENT_NS + max(0, shift_ns)
 
@@ -91,7 +91,7 @@ class ReorderBuffer:
         """Take one reading as it comes.
 
         Returns:
-            Whether it is used, and as soon as the watermark moves the readings that it passed.
+            Whether it is used, and the readings that the watermark passed; None if it stays.
         """
         kind, stamp_ns = type(reading), reading.stamp_ns
         if (reason := self._why_not(reading)) is not None:
@@ -138,7 +138,7 @@ class ReorderBuffer:
         """Take readings as they come.
 
         Returns:
-            The readings that the watermark passed, in order of stamps, and those that came.
+            The readings that the watermark passed, in order of stamps; and those that arrived.
         """
         self._merge()
         possible = {kind: self._possible(kind, rows) for kind, rows in block.rows.items()}
@@ -159,7 +159,7 @@ class ReorderBuffer:
         return self._passed(self.watermark_ns), arrived
 
     def flush(self) -> Block:
-        """The readings that wait, in order of stamps: no more will come."""
+        """The readings that wait, in order of stamps, at the end of a drive."""
         self._merge()
         ends = [int(rows.stamps[-1]) for rows in self._waiting.values() if len(rows.stamps)]
         # A whole cell, so that later readings are late, and the watermark never falls.
@@ -168,7 +168,7 @@ class ReorderBuffer:
         return self._passed(self.watermark_ns)
 
     def _watermarks(self, rows: Mapping[type[Reading], Rows]) -> tuple[np.ndarray, np.ndarray]:
-        """Places of readings that may move the watermark, and the watermark around each."""
+        """Places of n readings that may move the watermark, and watermarks, shape (n + 1,)."""
         speeds, battery = (
             rows.get(kind, NO_ROWS[kind]) for kind in (SpeedReading, BatteryReading)
         )
@@ -194,8 +194,8 @@ class ReorderBuffer:
     def _wait(self, kind: type[Reading], rows: Rows) -> None:
         """Add readings to those that wait, in order of stamps.
 
-        Of one stamp the first reading counts; of the surroundings the last, because late ones get
-        the stamp from which they count.
+        Of readings with one stamp the first counts; outside `SERIES` the last, because late ones
+        have a later stamp.
         """
         if not len(rows.stamps):
             return

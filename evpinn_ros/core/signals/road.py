@@ -25,11 +25,11 @@ from evpinn_ros.core.signals.readings import (
 from evpinn_ros.core.signals.track import NEVER, SignalTrack
 
 SLOPE_STD = 0.015  # 1-sigma of the slope of roads, between a plain and hills
-SLOPE_LENGTH = 300.0  # m of road over which slopes are alike
-ALTITUDE_STD = 0.7  # m, 1-sigma of what barometers and GNSS stray by within such a length
-ALTITUDE_STEP = 1.0  # m between altitudes that are looked at
-ALTITUDE_LENGTH = 10.0  # m of road over which they stray alike
-HEATED_BELOW = 20.0  # degrees Celsius outside; that of the room in degree days (VDI 3807)
+SLOPE_LENGTH = 300.0  # m, correlation length of the slope of roads
+ALTITUDE_STD = 0.7  # m, 1-sigma of barometers and GNSS within such a length
+ALTITUDE_STEP = 1.0  # m, least road between two altitudes that are used
+ALTITUDE_LENGTH = 10.0  # m, correlation length of their errors
+HEATED_BELOW = 20.0  # degrees Celsius outside; the room temperature of degree days (VDI 3807)
 GRADE_WINDOW = 1.0  # s over which IMU pitch is averaged
 STALE_AFTER = 10.0  # s without news, then the quantity counts as unknown
 WIND_STALE_AFTER = 600.0  # s; weather stations report a mean of ten minutes
@@ -39,7 +39,7 @@ GAS_CONSTANT = 287.05  # J/(kg K), of dry air
 
 
 def density_of_air(reference: float, celsius: Any, pascal: Any) -> Any:
-    """Density of dry air, an ideal gas, kg/m^3; what is NaN is that of the vehicle file.
+    """Density of dry air, an ideal gas, kg/m^3; NaN takes the value of the vehicle file.
 
     Args:
         reference: density that the vehicle file has at `REFERENCE_CELSIUS`, kg/m^3.
@@ -68,7 +68,7 @@ class Conditions(NamedTuple):
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature outside, None while unknown.
         load: auxiliary power the car reports, W; 0 while unknown.
-        load_known: whether it reports any.
+        load_known: whether the car ever reported it.
     """
 
     air_density: Any
@@ -198,8 +198,8 @@ class Road:
     def conditions(self, moments: np.ndarray) -> Conditions:
         """The surroundings at moments, shape (n,) each; a temperature that is unknown is NaN.
 
-        A heater that reports kilowatts on a warm day does not count: on five of six drives of an
-        i3 above 20 degrees the battery gave none of it, below all of it.
+        Heating that is reported on a warm day does not count: on five of six drives of an i3 above
+        20 degrees the battery gave none of it; below, all of it.
         """
         told_ns, winds = self._wind.at(moments)
         blows = _age(moments, told_ns) <= WIND_STALE_AFTER
@@ -222,10 +222,9 @@ class Road:
     def heights(
         self, stamps: np.ndarray, odometers: np.ndarray
     ) -> Iterator[list[tuple[float, float]]]:
-        """Places, m by the odometer, and heights of the road there, m, that are new at moments.
+        """Yields, for each new moment, the new pairs of odometer and height of the road, m.
 
-        Where the IMU gives pitch, its integral replaces altitudes, which go on from its last
-        value.
+        While the IMU gives pitch, its integral replaces altitudes; these go on from its height.
 
         Args:
             stamps: of the moment before and n new ones, ns, increasing, shape (n + 1,).
@@ -260,7 +259,7 @@ class Road:
     def _risen(
         self, places: Sequence[float], altitudes: Sequence[float]
     ) -> Iterator[tuple[float, float]]:
-        """Places and heights that altitudes there tell, m."""
+        """Yields pairs of odometer and height, m, from altitudes at places, m."""
         for place, altitude in zip(places, altitudes, strict=True):
             self._altitude = self._altitude.after(place, altitude)
             rise = self._altitude.rise
@@ -270,7 +269,7 @@ class Road:
                 yield place, self._height
 
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
-        """Those of grade, temperature, pressure, wind and loads that no input gives."""
+        """Which of grade, temperature, pressure, wind and loads have no data."""
         told_ns = int(self._pitch.stamps[-1])
         given = {
             "grade": _age(stamp_ns, told_ns) < STALE_AFTER or not self._altitude.detected,
@@ -285,8 +284,8 @@ class Road:
 class _Hill:
     """Slope of the road from altitudes: a Kalman filter along the road.
 
-    The slope wanders as that of roads does, by `SLOPE_STD` within `SLOPE_LENGTH`. So single
-    altitudes weigh little: over the length of a car any barometer shows cliffs.
+    The slope varies as that of roads does, by `SLOPE_STD` within `SLOPE_LENGTH`, so a single
+    altitude weighs little: over the length of a car, the noise of a barometer looks like a cliff.
     """
 
     def __init__(self) -> None:
@@ -310,7 +309,7 @@ class _Hill:
             self._of_slope += 2.0 * SLOPE_STD**2 * distance / SLOPE_LENGTH
 
     def see(self, altitude: float) -> None:
-        """Take an altitude, m; those of one place add nothing."""
+        """Update by an altitude, m; ignored within `ALTITUDE_STEP` of the last."""
         if math.isnan(self._altitude):
             self._altitude = altitude
             return

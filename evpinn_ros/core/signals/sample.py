@@ -1,4 +1,4 @@
-"""Moments of driving, as the learners see them."""
+"""Samples of driving, and what a block of readings completes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from evpinn_ros.core.signals.kinematics import PROFILE
 
 
 class Sample(NamedTuple):
-    """The state of the car at one moment, everything but the battery.
+    """Motion and surroundings of the car at one moment, without the battery.
 
     Attributes:
         stamp_ns: the moment.
@@ -22,12 +22,12 @@ class Sample(NamedTuple):
         grade: road incline angle, rad, positive uphill; 0 while unknown.
         air_density: kg/m^3.
         known_auxiliary: power of auxiliary loads the car reports, W; 0 while unknown.
-        profile: its acceleration profile as far as it is known, shape (`kinematics.PROFILE`,),
-            m/s^2; 0 where it is not.
+        profile: acceleration profile (`kinematics.profile`), shape (`kinematics.PROFILE`,), m/s^2;
+            0 where unknown.
         head_wind: wind against the car, m/s over ground; 0 while unknown.
         celsius: temperature of the air outside, NaN while unknown.
         motor_power: mechanical power of the motor, W, NaN where no bus reports it.
-        motor_scaled: True if that is in W; False if the unknown gear ratio scales it.
+        motor_scaled: True if `motor_power` is in W; False if an unknown gear ratio scales it.
     """
 
     stamp_ns: int
@@ -68,7 +68,7 @@ class Samples(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Number of samples."""
         return len(self.stamp_ns)
 
     def where(self, chosen: np.ndarray | slice) -> Samples:
@@ -76,7 +76,7 @@ class Samples(NamedTuple):
         return Samples._make([column[chosen] for column in self])
 
     def and_then(self, later: Samples) -> Samples:
-        """These samples, and those that follow."""
+        """These samples and `later` ones, concatenated."""
         return joined_samples((self, later))
 
     def rows(self) -> Iterator[Sample]:
@@ -93,7 +93,7 @@ NO_SAMPLES = Samples._make((
 
 
 def joined_samples(parts: Sequence[Samples]) -> Samples:
-    """Some samples, one part after another."""
+    """Concatenated samples."""
     filled = [samples for samples in parts if samples.size]
     if len(filled) < 2:
         return filled[0] if filled else NO_SAMPLES
@@ -106,8 +106,8 @@ class Measured(NamedTuple):
     Attributes:
         samples: n of them.
         power: W, shape (n,).
-        known_ns: stamp of the speed by which each is known, shape (n,).
-        place: how many smoothed samples of the block come before each is learned, shape (n,).
+        known_ns: stamp of the speed reading that completes each, shape (n,).
+        place: number of the block's smoothed samples predicted before each is learned, shape (n,).
     """
 
     samples: Samples
@@ -121,13 +121,13 @@ class Measured(NamedTuple):
 
 
 class Newest(NamedTuple):
-    """Moments of the newest speed, which are predicted at once.
+    """Samples of the newest speeds, which are predicted at once.
 
     Attributes:
         samples: n of them, whose acceleration is causal.
         known_ns: stamp up to which everything was learned before each, shape (n,).
         told_ns: stamps of the newest battery reading before each, shape (n,).
-        told_power: its power, W, NaN before any, shape (n,).
+        told_power: power of that reading, W, NaN before any, shape (n,).
     """
 
     samples: Samples
@@ -137,14 +137,14 @@ class Newest(NamedTuple):
 
 
 class Events(NamedTuple):
-    """What a block completes: all of it up to the stamp of its newest speed.
+    """What a block completes, up to the stamp of its newest speed.
 
     Attributes:
-        newest: the newest moments, whose acceleration is causal (`power/predicted`).
-        smoothed: the moments `smoothing_lag` back (`power/smoothed`).
+        newest: samples of the newest speeds, with causal acceleration (`power/predicted`).
+        smoothed: m samples `smoothing_lag` back (`power/smoothed`).
         smoothed_ns: stamp of the speed that completes each, shape (m,).
-        measured: those of them whose battery power is known.
-        intervals: to learn the car from, each with the stamp of the speed that completes it.
+        measured: smoothed samples whose battery power is known.
+        intervals: to learn the car from, each after the stamp of the speed that completes it.
     """
 
     newest: Newest
@@ -161,7 +161,7 @@ NO_EVENTS = Events(NO_NEWEST, NO_SAMPLES, NO_NS, NO_MEASURED, ())
 
 
 def joined_events(parts: Sequence[Events]) -> Events:
-    """Events of parts of a block, one after another."""
+    """Concatenated events of consecutive parts of a block."""
     if len(parts) == 1:
         return parts[0]
     places, count = [], 0

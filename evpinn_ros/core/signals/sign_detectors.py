@@ -1,4 +1,4 @@
-"""Signals whose signs contradict each other: current and acceleration, charge, hills."""
+"""Detectors of a wrong sign: current against acceleration or charge, grade against energy."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CHARGE_STEP = 0.02  # of state of charge: more than it creeps by itself while a 
 STANDING = 0.1  # m/s
 AT_REST_MEMORY = 30.0  # s
 
-ALIKE = 100.0  # m over which a reported grade, and gusts, are alike
+ALIKE = 100.0  # m, correlation length of a reported grade, and of gusts
 ROAD_MEMORY = 20e3  # m of road that the verdict rests on
 FAST = 5.0  # m/s: slower, auxiliaries outweigh hills
 

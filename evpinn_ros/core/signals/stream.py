@@ -1,15 +1,13 @@
-"""Readings in order of stamps to samples and intervals.
+"""Turns readings in order of stamps into samples and intervals.
 
-Speed sets the pace. Each moment that lies `smoothing_lag` back gives a smoothed sample (at most
-one each `SAMPLE_PERIOD`), and it is measured once battery readings on both sides of it are known.
-It is learned from after the smoothed moments up to the later of these are predicted, so that no
+Each speed reading gives a smoothed sample once `smoothing_lag` has passed (at most one each
+`SAMPLE_PERIOD`). A sample is measured once battery readings on both sides of it are known. It is
+learned from after all smoothed samples up to the later of these are predicted, so that no
 prediction rests on a battery reading of its own moment or after. Voltage and current may come
-apart. Beside the samples, which predict and follow power, stand the intervals that the car is
-learned from (`signals.interval`).
+apart. Samples predict and track power; the car is learned from intervals (`signals.interval`).
 
-All is known up to the stamp of the newest speed: `signals.reorder` puts readings in order, and
-`signals.time_jump` handles time that jumps before that. How a drive is cut into blocks changes
-nothing.
+`signals.time_jump` and `signals.reorder` come before: here all readings up to the newest speed are
+known and in order. How a drive is cut into blocks changes nothing.
 """
 
 from __future__ import annotations
@@ -62,7 +60,7 @@ from evpinn_ros.core.signals.track import NEVER
 SAMPLE_PERIOD = 0.1  # s, shortest step between smoothed samples
 PERIOD_NS = int(SAMPLE_PERIOD * NANOSECONDS) - LAG_TOLERANCE_NS
 NO_LESSONS = np.empty((0, TAPS)), np.empty(0)
-FORGOTTEN_NS = 120 * NANOSECONDS  # without the battery, then a sample will not be measured
+FORGOTTEN_NS = 120 * NANOSECONDS  # without the battery, then a sample stays unmeasured
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +69,8 @@ class StreamSettings:
 
     Attributes:
         smoothing_lag: s of future speed the smoothed samples may use.
-        allowed_lateness: s by which a reading may come later than speeds of its stamp; all that
-            is not published at once waits so long.
+        allowed_lateness: s by which a reading may come later than speeds of its stamp; every
+            output but the immediate prediction waits so long.
         max_gap: s without speed (or battery) across which nothing is joined; signals that come
             slowly are joined across some of their own steps (`track.SignalTrack`).
         grade_source: where grade comes from.
@@ -91,7 +89,7 @@ class SampleStream:
         dropped: samples not used, by reason.
         speed: the latest speeds.
         battery: voltage and current of the latest seconds.
-        motor: power of the motor, likewise.
+        motor: power of the motor in the latest seconds.
     """
 
     def __init__(
@@ -100,7 +98,7 @@ class SampleStream:
         """Start empty.
 
         Args:
-            settings: how to align.
+            settings: of smoothing, gaps and grade.
             air_density: kg/m^3, used while no temperature is known.
             motor_ratio: rad that the motor turns per m of road, NaN where unknown.
         """
@@ -141,7 +139,7 @@ class SampleStream:
         return np.linalg.solve(information, products).tolist(), standing
 
     def finish(self) -> Iterator[Interval]:
-        """Yields the intervals that wait for more of a drive that is over."""
+        """Yields the intervals that still wait at the end of a drive."""
         if len(self.speed):
             yield from (interval for _, interval in self._intervals.intervals())
         yield from self._intervals.finish()
@@ -153,8 +151,8 @@ class SampleStream:
 
         Args:
             block: of the readings.
-            newest: speeds that came, to be predicted at once.
-            intervals: whether they are asked for; those of a gap come anyway.
+            newest: speeds to be predicted at once.
+            intervals: whether to return intervals; those that a gap ends come anyway.
         """
         if intervals:
             self._forget()
@@ -177,7 +175,7 @@ class SampleStream:
         """Take the readings of a stretch, and the newest speeds that come before its end."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
         travelled = np.diff(speeds.stamps, prepend=self.speed.stamps[-1:]) / NANOSECONDS
-        count = len(travelled)  # the first of all ends no step
+        count = len(travelled)  # the first speed of a drive ends no step
         ends = speeds.where(slice(len(speeds.stamps) - count, None))
         self._road.extend(block, ends.stamps, np.abs(ends.values[0]) * travelled)
         self.battery.extend(battery)
@@ -226,7 +224,7 @@ class SampleStream:
         return samples, completed_ns, taps
 
     def _due(self, moments: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> list[int]:
-        """Places of the moments that are possible and far enough from the last one."""
+        """Indices of the moments that are possible and `SAMPLE_PERIOD` from the last one."""
         possible = (np.abs(acceleration) <= MAX_ACCELERATION) & (np.abs(speed) <= MAX_SPEED)
         chosen: list[int] = []
         last_ns = self._last_moment_ns
@@ -243,7 +241,7 @@ class SampleStream:
         return chosen
 
     def _newest(self, newest: NewestSpeeds, smoothed_ns: np.ndarray, taps: Taps) -> Newest:
-        """The newest speeds as samples, by what was known before each."""
+        """Samples of the newest speeds, from what was learned before each."""
         if not len(newest.stamps):
             return NO_NEWEST
         weights = taps.weights(smoothed_ns.searchsorted(newest.known_ns, side="right"))
@@ -283,7 +281,7 @@ class SampleStream:
         )
 
     def _measured(self, smoothed: Samples, smoothed_ns: np.ndarray) -> Measured:
-        """The samples whose power is known, once the moments up to that are predicted."""
+        """The samples that can be learned from once those up to their reading are predicted."""
         waiting = self._unmeasured.and_then(smoothed)
         if not waiting.size:
             return NO_MEASURED

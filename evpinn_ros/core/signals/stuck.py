@@ -1,8 +1,8 @@
-"""A sensor that repeats one value while the other shows that the car does something else.
+"""Detects a speed or battery that repeats one value while the other signal changes.
 
-A speed that repeats is in doubt until it moves on. If it leaps then, it did hang; if it changes
-smoothly, it did not: a cruise control keeps a fine speed for seconds, a simulator's driver for
-minutes, and every car does between speeding up and slowing down.
+A speed that repeats is in doubt until it changes. A leap then shows that the sensor hung, a smooth
+change that it did not: a cruise control keeps a fine speed for seconds, a simulator's driver for
+minutes, and every car between speeding up and slowing down.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from evpinn_ros.core.signals.readings import (
     drawn_power,
 )
 
-FINE = 0.1  # m/s, a step of finer speeds
+FINE = 0.1  # m/s; a speed with smaller steps is fine, else coarse
 OFTEN = 10  # readings of one value before it is suspected
-WINDOW_NS = 15 * NANOSECONDS  # beyond, a hilly road under cruise control would look the same
+WINDOW_NS = 15 * NANOSECONDS  # of the range; in more, hills under cruise control look the same
 LEAST_HANG = 0.35  # s; less is a gap between readings
 LEAP, LEAP_STEPS, MOST_ACCELERATION = 0.5, 2.5, 3.0  # m/s, steps of the signal, m/s^2
-SETTLES_NS = NANOSECONDS // 2  # before and after a repetition, which smoothing mixes with it
+SETTLES_NS = NANOSECONDS // 2  # on both sides of a repetition, which smoothing mixes with it
 SPOILT_KEPT = 20
 IDLE_POWER = 5e3  # W; a full battery takes no more while friction stops the car, or none at all
 MOVING = 2.0  # m/s
 
 
 class Spoilt(NamedTuple):
-    """A time from which nothing is learned, and why."""
+    """A span from which nothing is learned, and why."""
 
     reason: str
     since_ns: int
@@ -54,25 +54,25 @@ class Spoilt(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What is known of both signals up to a reading.
+    """Verdict on both signals after a reading.
 
     Attributes:
         detected: `SPEED_STUCK`, `BATTERY_STUCK` or None.
-        spoilt: when a signal repeated: what lies behind is learned from later.
+        spoilt: the latest spans in which a signal repeated.
     """
 
     detected: str | None = None
     spoilt: tuple[Spoilt, ...] = ()
 
     def why_not(self, begin_ns: int, end_ns: int) -> str | None:
-        """Reason not to learn of a time that lies behind, or None."""
+        """Reason not to learn from a past span, or None."""
         for reason, first_ns, last_ns in self.spoilt:
             if begin_ns <= last_ns + SETTLES_NS and end_ns >= first_ns - SETTLES_NS:
                 return reason
         return None
 
     def spoiling(self, reason: str, repetition: Repetition) -> Verdict:
-        """The verdict, with the time of the repetition so far spoilt."""
+        """The verdict with the span of a repetition added, or extended."""
         before, since_ns = self.spoilt, repetition.since_ns
         if before and before[-1][:2] == (reason, since_ns):
             before = before[:-1]
@@ -99,7 +99,7 @@ class VerdictCourse(NamedTuple):
 
 @dataclass(slots=True)
 class Repetition:
-    """One value that a signal repeats, and the range of another one meanwhile."""
+    """A value that one signal repeats, and the range of the other signal meanwhile."""
 
     value: Any = None
     since_ns: int = 0
@@ -108,7 +108,7 @@ class Repetition:
     window_ns: int = 0  # begin of the range
     low: float = math.inf
     high: float = -math.inf
-    climb: float = 0.0  # of the other one, upwards
+    climb: float = 0.0  # largest rise of the other signal
     stuck: bool | None = None
     doubted: bool | None = None
 
@@ -118,12 +118,12 @@ class Repetition:
         return (self.newest_ns - self.since_ns) / NANOSECONDS
 
     def repeat(self, stamp_ns: int) -> None:
-        """The same value once more."""
+        """Count the same value once more."""
         self.newest_ns = max(self.newest_ns, stamp_ns)
         self.times += 1
 
     def beside(self, stamp_ns: int, other: float) -> None:
-        """A value of the other signal."""
+        """Add a value of the other signal to the range."""
         if abs(stamp_ns - self.window_ns) > WINDOW_NS:
             self.low, self.high, self.climb, self.window_ns = math.inf, -math.inf, 0.0, stamp_ns
         self.low, self.high = min(self.low, other), max(self.high, other)
@@ -149,9 +149,9 @@ class StuckDetector:
         self._step = math.inf  # smallest change of speed seen, m/s
 
     def follow(self, block: Block) -> VerdictCourse:
-        """Take a block in order of stamps; the verdicts along it."""
+        """Take a block in order of stamps; returns the verdicts along it."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
-        with np.errstate(over="ignore"):  # beyond what floats hold is beyond any car too
+        with np.errstate(over="ignore"):  # an infinite power is left out
             battery = battery.where(np.isfinite(drawn_power(*battery.values[:2])))
         volts, amperes = battery.values[:2]
         # Robots without a current sensor send 0 A beside a measured voltage.
@@ -175,18 +175,18 @@ class StuckDetector:
             self._moved(stamp_ns, speed)
             self._speed = Repetition(speed, stamp_ns, stamp_ns, 1, stamp_ns)
             return
-        hung = self._speed
-        hung.repeat(stamp_ns)
+        repetition = self._speed
+        repetition.repeat(stamp_ns)
         if abs(speed) > MOVING:
             is_coarse = self._step >= FINE
-            swing = hung.high - hung.low
-            hung.judge(COARSE_SPEED if is_coarse else FINE_SPEED, swing)
-            if hung.times >= OFTEN or not is_coarse:
+            swing = repetition.high - repetition.low
+            repetition.judge(COARSE_SPEED if is_coarse else FINE_SPEED, swing)
+            if repetition.times >= OFTEN or not is_coarse:
                 doubt = COARSE_DOUBT if is_coarse else FINE_DOUBT
-                hung.doubted = doubt.judge(hung.doubted, swing, hung.seconds)
+                repetition.doubted = doubt.judge(repetition.doubted, swing, repetition.seconds)
 
     def _moved(self, stamp_ns: int, speed: float) -> None:
-        """The step to another speed; a leap shows that the one before did hang."""
+        """Take the step to another speed; a leap shows that the sensor hung before."""
         before = self._speed
         if before.value is None or speed == before.value:
             return
@@ -202,22 +202,23 @@ class StuckDetector:
         if values != self._battery.value or stamp_ns < self._battery.since_ns:
             self._battery = Repetition(values, stamp_ns, stamp_ns, 1, stamp_ns)
             return
-        hung = self._battery
-        hung.repeat(stamp_ns)
+        repetition = self._battery
+        repetition.repeat(stamp_ns)
         idle = abs(power) < IDLE_POWER
-        hung.judge(BATTERY_REPEATS, hung.climb if idle else hung.high - hung.low)
+        swing = repetition.climb if idle else repetition.high - repetition.low
+        repetition.judge(BATTERY_REPEATS, swing)
 
     def _judge(self) -> None:
-        """The verdict of now."""
-        detected, hung = None, self._speed
+        """Update the verdict."""
+        detected, repetition = None, self._speed
         if self._battery.stuck:
-            detected, hung = BATTERY_STUCK, self._battery
-        elif hung.stuck:
+            detected, repetition = BATTERY_STUCK, self._battery
+        elif repetition.stuck:
             detected = SPEED_STUCK
         if detected is not self.verdict.detected:
             self.verdict = self.verdict._replace(detected=detected)
-        if reason := detected or (SPEED_REPEATS if hung.doubted else None):
-            self.verdict = self.verdict.spoiling(reason, hung)
+        if reason := detected or (SPEED_REPEATS if repetition.doubted else None):
+            self.verdict = self.verdict.spoiling(reason, repetition)
 
 
 def _listed(rows: Rows, values: np.ndarray) -> Iterator[tuple[Any, ...]]:

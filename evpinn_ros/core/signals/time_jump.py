@@ -1,21 +1,21 @@
 """Distinguish time that jumped back, as when a bag starts over, from stamps that are merely wrong.
 
-Nodes, replays and others that feed a stream of samples put a `StampGuard` before it, and react to
-a `Jump` by their `JumpPolicy`; behind the guard time does not go back.
+Nodes and replays put a `StampGuard` before a stream of samples and react to a `Jump` by their
+`JumpPolicy`; behind the guard time does not go back.
 
-Stamps decide, because only they show where in the stream the jump is. One stamp that leaps proves
-nothing: it is held back until a second one confirms it, so that a single wrong stamp cannot make
-the estimator forget a car. A leap that is only a little back needs several in a row, because
-messages that are late at random look alike. If the node's own clock went back too, one is enough.
+Stamps decide, because only they show where in the stream the jump is. The guard holds back a stamp
+that leaps until a second one confirms it, so that a single wrong stamp cannot make the estimator
+forget a car. A leap that is only a little back needs several in a row, because messages that are
+late at random look alike. If the node's own clock went back too, one is enough.
 
 Each source is judged by its own stamps. Sources whose stamps are up to `SKEW_NS` apart share one
 time: the one behind is late, as on a busy machine or a slow link. Its items are passed on, and the
 receiver uses them at their stamps or drops them as too late.
 
 An abandoned timeline produces no more readings: a bag that starts over does not play its end. If
-stamps leap to and fro between two times, there are two publishers, and following both would jump
-at every turn. So from the first return on the present time is kept, and items that continue the
-other are dropped and counted, until for a while no others have come.
+stamps leap to and fro between two timelines, there are two publishers, and following both would
+jump at every turn. So from the first return on, the guard keeps the present timeline, and drops
+and counts items of the other until the present one falls silent.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 AGREE_NS = 600 * NANOSECONDS  # two stamps of the leader this close confirm each other
 SKEW_NS = 15 * NANOSECONDS  # a source this far behind the others is late, and its clock right
-LEFT_NS = 60 * NANOSECONDS  # a timeline that was left resumes within this
+LEFT_NS = 60 * NANOSECONDS  # an abandoned timeline resumes within this
 SILENT_NS = 15 * NANOSECONDS  # a publisher that is silent for so long has ended
 LATE_IN_A_ROW = 8  # rising stamps a little behind that mean a clock set back, not lateness
 USUAL_STEPS = 3  # of the leader, which a stamp may be ahead: phones log at 5 s and slower
 MOST_HELD = 1000
-LOOKED_AT = 500  # readings whose stamps are judged at once where others of their block leap
-MOST_LEFT = 8  # timelines that were left and are remembered
-TAKES_OVER = 20  # stamps of a left time in a row, after which the present one counts as ended
+LOOKED_AT = 500  # readings whose stamps are judged at once, in a block with a stamp that leaps
+MOST_LEFT = 8  # abandoned timelines that are remembered
+TAKES_OVER = 20  # stamps of an abandoned timeline in a row that show that the present one ended
 SECOND_PUBLISHER = "stamps_of_a_second_publisher"
 
 
@@ -82,13 +82,13 @@ class _Held(NamedTuple):
 
 @dataclass(slots=True)
 class _Left:
-    """A timeline that stamps left.
+    """An abandoned timeline.
 
     Attributes:
         newest_ns: its newest stamp.
-        ahead: whether it lies ahead of the time that is followed now.
-        seen_ns: newest stamp of the time followed now at the latest stamp of this one.
-        in_a_row: stamps of its leader since the last one of the leader of the time followed now.
+        ahead: whether it lies ahead of the present timeline.
+        seen_ns: newest stamp of the present timeline when this one last had a stamp.
+        in_a_row: stamps of its leader since the last one of the present timeline's leader.
     """
 
     newest_ns: int
@@ -97,7 +97,7 @@ class _Left:
     in_a_row: int = 0
 
     def continued_by(self, stamp_ns: int, leap_ns: int) -> bool:
-        """True if a stamp that leaps by this much goes on where this time was left."""
+        """True if a stamp that leaps by this much continues this timeline."""
         return (leap_ns > 0) == self.ahead and 0 <= stamp_ns - self.newest_ns <= LEFT_NS
 
 
@@ -105,7 +105,7 @@ class StampGuard:
     """Passes items on in their order and puts a `Jump` where their stamps start over.
 
     Attributes:
-        jumps: how many there were.
+        jumps: number of `Jump`s so far.
         dropped: items not passed on, by reason: `stamp_leaps`, `stamp_held_too_long`,
             `stamps_of_a_second_publisher`.
     """
@@ -116,13 +116,13 @@ class StampGuard:
         self.dropped: Counter[str] = Counter()
         self._leader = leader
         self._newest_ns: int | None = None  # of all sources
-        self._own_ns: dict[object, int] = {}  # the newest of each
-        self._ahead_ns: dict[object, int] = {}  # of each, its last stamp, where it was in doubt
+        self._source_ns: dict[object, int] = {}  # newest stamp by source
+        self._ahead_ns: dict[object, int] = {}  # last stamp of sources that were a little ahead
         self._leader_ns: int | None = None  # its newest stamp since the last leap
         self._steps: deque[int] = deque(maxlen=2)
         self._held: list[_Held] = []
         self._left: list[_Left] = []
-        self._came_back = False  # to a timeline that was left and had not ended
+        self._came_back = False  # to an abandoned timeline
         self._clock_went_back = False
 
     def clock_went_back(self) -> None:
@@ -136,7 +136,7 @@ class StampGuard:
         return len(self._held)
 
     def follow(self, block: Block, rule: JumpRule = DEFAULT_RULE) -> Iterator[Block | Jump]:
-        """`admit` for a block, each kind of it a source: whole parts where no stamp leaps."""
+        """`admit` for a block whose kinds are the sources; whole parts where no stamp leaps."""
         threshold_ns = round(rule.threshold * NANOSECONDS)
         if len(block) and self._goes_on(block, threshold_ns):
             yield block
@@ -167,13 +167,13 @@ class StampGuard:
         if ahead.max() > threshold_ns or ahead.min() < -max(SKEW_NS, threshold_ns):
             return False
         for kind, rows in block.rows.items():
-            of_kind = np.append(self._own_ns.get(kind, rows.stamps[0]), rows.stamps)
+            of_kind = np.append(self._source_ns.get(kind, rows.stamps[0]), rows.stamps)
             if (of_kind[1:] - np.maximum.accumulate(of_kind)[:-1]).min() < -threshold_ns:
                 return False
         for kind, rows in block.rows.items():
             self._ahead_ns.pop(kind, None)
             newest_ns = int(rows.stamps.max())
-            self._own_ns[kind] = max(newest_ns, self._own_ns.get(kind, newest_ns))
+            self._source_ns[kind] = max(newest_ns, self._source_ns.get(kind, newest_ns))
             if kind == self._leader:  # whose last two steps count
                 for stamp_ns in np.unique(np.maximum.accumulate(rows.stamps))[-3:].tolist():
                     self._go_on(stamp_ns)
@@ -183,12 +183,12 @@ class StampGuard:
     def admit(
         self, source: object, stamp_ns: int, item: Any, rule: JumpRule = DEFAULT_RULE
     ) -> Iterable[Any | Jump]:
-        """Take one item; give it, or nothing while in doubt, or a jump and all that was held.
+        """Take one item; returns it, nothing while in doubt, or a jump and the held items.
 
         Args:
-            source: who stamped the item.
+            source: that stamped the item.
             stamp_ns: of the item.
-            item: what to pass on.
+            item: to pass on.
             rule: its threshold is against the newest stamp of the source; `ignore` gives no jump.
         """
         threshold_ns = round(rule.threshold * NANOSECONDS)
@@ -200,7 +200,7 @@ class StampGuard:
     def _in_doubt(
         self, held: _Held, leap_ns: int, threshold_ns: int, policy: JumpPolicy
     ) -> Iterator[Any | Jump]:
-        """`admit` an item whose stamp leaps."""
+        """`admit` for an item whose stamp leaps."""
         source, stamp_ns, _ = held
         if leap_ns < 0 and policy is JumpPolicy.IGNORE:
             self._drop(1)
@@ -222,12 +222,12 @@ class StampGuard:
         ahead_ns = stamp_ns - self._newest_ns
         if ahead_ns > threshold_ns and ahead_ns > self._usual_ns:
             return ahead_ns
-        own_ns = self._own_ns.get(source)
-        back_ns = 0 if own_ns is None else stamp_ns - own_ns
+        source_ns = self._source_ns.get(source)
+        back_ns = 0 if source_ns is None else stamp_ns - source_ns
         if back_ns < -threshold_ns:
             return back_ns
-        # The leader may be behind by any time once it is known: it is the others that are early.
-        behind_any = source == self._leader and own_ns is not None
+        # The leader may be behind by any time once it has a stamp: the others are early.
+        behind_any = source == self._leader and source_ns is not None
         return 0 if behind_any or -ahead_ns <= SKEW_NS or -ahead_ns <= threshold_ns else ahead_ns
 
     def _passed(self, source: object, stamp_ns: int, item: Any) -> Any:
@@ -235,8 +235,8 @@ class StampGuard:
         self._ahead_ns.pop(source, None)
         if self._newest_ns is None or stamp_ns > self._newest_ns:
             self._newest_ns = stamp_ns
-        if source not in self._own_ns or stamp_ns > self._own_ns[source]:
-            self._own_ns[source] = stamp_ns
+        if source not in self._source_ns or stamp_ns > self._source_ns[source]:
+            self._source_ns[source] = stamp_ns
         if source == self._leader:
             self._go_on(stamp_ns)
         return item
@@ -258,7 +258,7 @@ class StampGuard:
                 self._hold(entry)
 
     def _of_a_second_publisher(self, source: object, stamp_ns: int, leap_ns: int) -> bool:
-        """True if a stamp belongs to a time that was left and is not to be followed again."""
+        """True if a stamp continues an abandoned timeline that is not to be followed again."""
         left = self._continued(stamp_ns, leap_ns)
         if left is None or not self._came_back:
             return False
@@ -270,7 +270,7 @@ class StampGuard:
         return True
 
     def _continued(self, stamp_ns: int, leap_ns: int) -> _Left | None:
-        """The time left lately that a leaping stamp continues."""
+        """The abandoned timeline that a leaping stamp continues, or None."""
         now_ns = stamp_ns - leap_ns
         self._left = [
             timeline for timeline in self._left if now_ns - timeline.seen_ns <= SILENT_NS
@@ -304,7 +304,7 @@ class StampGuard:
             self.dropped["stamp_held_too_long"] += 1
 
     def _leap(self, stamp_ns: int, leap_ns: int) -> Iterator[Any | Jump]:
-        """Begin a new stretch of time with the held items that belong to it."""
+        """Begin a new timeline with the held items that belong to it."""
         held, self._held = self._held, []
         kept = [entry for entry in held if abs(entry.stamp_ns - stamp_ns) <= AGREE_NS]
         self._drop(len(held) - len(kept))
@@ -316,12 +316,13 @@ class StampGuard:
         self._left = [*self._left[1 - MOST_LEFT :], _Left(left_ns, leap_ns < 0, self._newest_ns)]
         if leap_ns < 0:
             self.jumps += 1
-            self._own_ns.clear()
+            self._source_ns.clear()
             yield Jump(-leap_ns / NANOSECONDS)
         self._ahead_ns.clear()
         self._leader_ns = None
         for entry in kept:
-            self._own_ns[entry.source] = max(entry.stamp_ns, self._own_ns.get(entry.source, 0))
+            newest_ns = self._source_ns.get(entry.source, 0)
+            self._source_ns[entry.source] = max(entry.stamp_ns, newest_ns)
             if entry.source == self._leader:
                 self._step_to(entry.stamp_ns)
         yield from (entry.item for entry in kept)

@@ -1,4 +1,4 @@
-"""Power that the battery readings measure, in the order in which they come."""
+"""Power measured by battery readings, in order of arrival."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from evpinn_ros.core.signals.readings import BatteryReading, drawn_power
 from evpinn_ros.core.signals.reorder import Arrived
 from evpinn_ros.core.signals.track import NEVER
 
-MOST_LATEST = 1000  # powers, of which half are kept: far more than come between two speeds
+MOST_LATEST = 1000  # powers, then the older half is dropped; far more than come between two speeds
 NO_BATTERY = Arrived(*NO_ROWS[BatteryReading], np.empty(0, np.int64))
 
 
 class ToldPower(NamedTuple):
-    """Powers of n battery readings as they came; of a current alone, with the last voltage.
+    """Powers of n battery readings in order of arrival; a current alone takes the last voltage.
 
     Attributes:
         battery: the readings.
-        power: W, NaN where no voltage was told before, shape (n,).
-        age_ns: of the voltage, shape (n,).
+        power: W, NaN before the first voltage, shape (n,).
+        age_ns: age of the voltage, ns, shape (n,).
     """
 
     battery: Arrived
@@ -32,7 +32,7 @@ class ToldPower(NamedTuple):
 
     @property
     def coarse(self) -> np.ndarray:
-        """1-sigma where it is not the sensor's own, W, shape (n,)."""
+        """`BatteryReading.power_std` of each, W, shape (n,)."""
         return np.asarray(self.battery.values[COARSE])
 
 
@@ -43,12 +43,12 @@ class ToldTrack:
     """Follows battery readings in order of arrival."""
 
     def __init__(self) -> None:
-        """Nothing told."""
+        """Start without a reading."""
         self._voltage, self._voltage_ns = math.nan, NEVER
         self._latest: list[tuple[int, float]] = []  # stamps, rising, and powers, W
 
     def add_reading(self, reading: BatteryReading) -> tuple[float, int]:
-        """Take one reading as it comes: its power, W, and the age of its voltage, ns."""
+        """Add one reading; returns its power, W, and the age of its voltage, ns."""
         if reading.voltage == reading.voltage:
             self._voltage, self._voltage_ns = reading.voltage, reading.stamp_ns
         power = drawn_power(self._voltage, reading.current)
@@ -66,7 +66,7 @@ class ToldTrack:
         return NEVER, math.nan
 
     def add(self, battery: Arrived = NO_BATTERY) -> ToldPower:
-        """Take readings as they come."""
+        """Add readings in order of arrival; returns their powers."""
         voltage, current = battery.values[:2]
         stamps = battery.stamps
         volts, volts_ns = np.append(self._voltage, voltage), np.append(self._voltage_ns, stamps)
@@ -76,9 +76,9 @@ class ToldTrack:
         return ToldPower(battery, drawn_power(volts, current), age_ns)
 
     def before_each(self, speeds: Arrived, told: ToldPower) -> tuple[np.ndarray, np.ndarray]:
-        """As `before`, for each of n speeds, of what had come by then; shape (n,) each.
+        """`before` for each of n speeds, among the powers that arrived before it; shape (n,) each.
 
-        The powers `told` in this block are the latest from here on.
+        Keeps the powers of `told` for the next call.
         """
         measured = ~np.isnan(told.power)
         battery = told.battery
@@ -90,6 +90,6 @@ class ToldTrack:
         places, told_ns, power = places[newer], told_ns[newer], power[newer]
         last = slice(-MOST_LATEST // 2, None)
         self._latest = [*zip(told_ns[last].tolist(), power[last].tolist(), strict=True)]
-        # Of what had come by then and of what is stamped before, the lesser count.
+        # A power counts if it arrived before the speed and is stamped before it: the lesser count.
         which = np.minimum(places.searchsorted(speeds.order), told_ns.searchsorted(speeds.stamps))
         return np.append(NEVER, told_ns)[which], np.append(np.nan, power)[which]

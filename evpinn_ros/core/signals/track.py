@@ -9,7 +9,7 @@ import numpy as np
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 TRACK_NS = 90 * NANOSECONDS  # of readings kept at least
-FEW = 5  # readings, of which sorted lists are quicker than arrays
+FEW = 5  # readings for which sorting lists is faster than arrays
 RATE_READINGS = 15  # steps whose median is the rate of a signal
 GAP_STEPS = 6.0  # median steps across which readings are still joined
 LATER = 2**62  # ns, a moment that never comes
@@ -38,7 +38,7 @@ class SignalTrack:
         stamps: ns, increasing.
         values: of the same length.
         periods: usual step by each reading and those before it, s; 0 at the first.
-        gaps: ns between readings beyond which nothing is joined, likewise.
+        gaps: ns between readings beyond which nothing is joined, by the same readings.
     """
 
     def __init__(self, max_gap: float) -> None:
@@ -61,7 +61,7 @@ class SignalTrack:
         return int(self.stamps[-1]) if len(self.stamps) else NEVER
 
     def rates(self, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Latest steps, s, and usual step, s, and gap, ns, by each of the readings that follow."""
+        """Latest steps, s; and usual step, s, and gap, ns, by each of the readings that follow."""
         moments = np.concatenate((self.stamps[-1:], stamps))
         new = (moments[1:] - moments[:-1]) / NANOSECONDS
         steps = np.concatenate((self._steps, new))
@@ -96,7 +96,7 @@ class SignalTrack:
         return int(apart[0]) if len(apart) else len(stamps)
 
     def forget_before(self, needed_ns: int) -> None:
-        """Drop what no moment from `needed_ns` on can rest on."""
+        """Drop readings that no moment from `needed_ns` on needs."""
         oldest = min(needed_ns, self.newest_ns - TRACK_NS)
         first = int(self.stamps.searchsorted(oldest)) - RATE_READINGS - 1
         if first > len(self.stamps) // 2:  # else copying costs more than it saves
@@ -105,18 +105,18 @@ class SignalTrack:
             self.periods, self.gaps = self.periods[kept], self.gaps[kept]
 
     def restart(self, gap: float) -> None:
-        """Forget the readings before a gap, s; of a slow signal it is a step like others."""
+        """Forget the readings before a gap, s, which counts as a step of a slow signal."""
         self._steps = np.append(self._steps, gap)[-RATE_READINGS:]
         self._period = float(medians(self._steps, 1)[0])
         self._gap_ns = int(self._gaps(np.array([self._period]))[0])
         self._forget()
 
     def period(self, moments: Any = None) -> Any:
-        """Usual step by the readings up to moments, s, of the same shape; else by all."""
+        """Usual step by the readings up to moments, s, of their shape; without moments, by all."""
         return self._last_of(self.periods, self._period, moments)
 
     def gap_ns(self, moments: Any = None) -> Any:
-        """Nanoseconds beyond which nothing is joined, likewise."""
+        """Gap beyond which nothing is joined, ns; arguments as in `period`."""
         return self._last_of(self.gaps, self._gap_ns, moments)
 
     def _last_of(self, column: np.ndarray, without: float, moments: Any) -> Any:
@@ -182,7 +182,7 @@ class SignalTrack:
         return slice(first, int(self.stamps.searchsorted(moments[-1])) + 1)
 
     def step_around(self, stamp_ns: int) -> float:
-        """Usual step between the readings up to the first from a moment on, s."""
+        """Median of the latest steps up to the first reading at or after a moment, s."""
         last = int(self.stamps.searchsorted(stamp_ns)) + 1
         latest = self.stamps[max(0, last - RATE_READINGS - 1) : last]
         return float(np.median(np.diff(latest))) / NANOSECONDS if len(latest) > 1 else 0.0
