@@ -1,8 +1,8 @@
-"""One car's account of energy: since reset and since ever, per kilometre, and what is left.
+"""One car's account: energy since reset and of the lifetime, per kilometre, and left to drive.
 
 It joins the meter to distance and to the state of charge, and survives a restart. Readings wait
-until predictions of their time have come, and are then counted in order of stamps; how they are
-cut into blocks changes nothing.
+for the predictions of their time, and are then counted in order of stamps; how they are cut into
+blocks changes nothing.
 """
 
 from __future__ import annotations
@@ -53,21 +53,21 @@ from evpinn_ros.core.signals.track import LATER, NEVER
 
 STATE_VERSION = 1
 NO_STAMPS = np.empty(0, np.int64)
-LEAST_DISTANCE = 1e3  # m from which on consumption is known
+LEAST_DISTANCE = 1e3  # m; over less, consumption is unknown
 SUMMARY_NS = NANOSECONDS  # between two summaries
 
 
 class EnergyTotals(NamedTuple):
-    """Totals counted over some time.
+    """Totals of a trip or of the lifetime.
 
     Attributes:
         drawn: J.
         regenerated: as positive J.
         variance: of the net energy, J^2.
         distance: m.
-        driven: net energy of the time in which distance is known, J.
-        unmeasured_s: time that the battery was silent, s.
-        unknown_s: the part of it that speed was silent too, s.
+        driven: net energy while distance was known, J.
+        unmeasured_s: time in which the battery was silent, s.
+        unknown_s: the part of it in which speed was silent too, s.
     """
 
     drawn: Joules = 0.0
@@ -88,7 +88,7 @@ class EnergyTotals(NamedTuple):
         return EnergyTotals(*(a + b for a, b in zip(self, other, strict=True)))
 
     def not_below(self, before: EnergyTotals) -> EnergyTotals:
-        """Totals of this net energy, with at least as much drawn and regenerated as before.
+        """Totals of this net energy that draw and regenerate at least as much as `before`.
 
         A late measurement can lower the total that was predicted for the same time.
         """
@@ -97,7 +97,7 @@ class EnergyTotals(NamedTuple):
 
 
 class TripCorrection(NamedTuple):
-    """Energy that reconciling added to a trip, J, and the variance that it removed, J^2."""
+    """Energy that reconciled dropouts added to a trip, J, and variance that they removed, J^2."""
 
     energy: Joules = 0.0
     variance: Annotated[float, Range(-(MOST_ENERGY**2), MOST_ENERGY**2)] = 0.0
@@ -105,10 +105,10 @@ class TripCorrection(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedAccount:
-    """State that outlives a restart: this trip, and what was counted `before_reset`.
+    """State that outlives a restart: this trip, and the totals `before_reset`.
 
     Attributes:
-        charge_before: the last state of charge received while the battery was measured.
+        charge_before: last state of charge received while the battery was measured.
     """
 
     SAME = ("version", "vehicle")
@@ -132,15 +132,15 @@ class AccountSummary:
 
     Attributes:
         stamp_ns: newest stamp of power.
-        since_reset: what was counted since the last reset.
-        lifetime: what was counted since ever; what it drew and regenerated never falls.
+        since_reset: totals since the last reset.
+        lifetime: totals since the first start; drawn and regenerated energy never falls.
         consumption: energy per distance, J/m, by `1`, `10`, `100` (the last so many km), `trip`
             and `lifetime`; unknown ones are left out.
-        charge: state of charge, 0..1; its value NaN while unknown, and so below.
-        projected: True if that follows from the energy taken since the last reading.
+        charge: state of charge, 0..1; the value is NaN while unknown, as those below.
+        projected: True if `charge` follows from the energy taken since its last reading.
         capacity: energy of the full battery, J.
-        usable: energy left in it, J.
-        remaining: distance to empty, None while it is unknown.
+        usable: energy left in the battery, J.
+        remaining: distance to empty, None while unknown.
     """
 
     stamp_ns: int
@@ -155,7 +155,7 @@ class AccountSummary:
 
 
 class _Kind(IntEnum):
-    """Kind of what is counted."""
+    """Kind of a counted row."""
 
     PREDICTED = 0
     MEASURED = 1
@@ -165,11 +165,11 @@ class _Kind(IntEnum):
 
 WIDTHS = {_Kind.PREDICTED: 4, _Kind.MEASURED: 4, _Kind.SPEED: 1, _Kind.BATTERY: 3}
 AHEAD_NS = 3 * NANOSECONDS  # by which readings may be ahead of predictions and wait for them
-EXTENDED_AT = 1000  # speeds and battery readings from which on trip and battery model take them
+EXTENDED_AT = 1000  # speeds and battery readings that trip and battery model take at once
 
 
 class _Correction(NamedTuple):
-    """A correction, and the stamp from which on it counts."""
+    """A correction, and the first stamp at which it counts."""
 
     stamp_ns: int
     added: TripCorrection
@@ -187,12 +187,12 @@ class _Waiting:
 
     def __init__(self) -> None:
         self._new: dict[_Kind, list[_Columns]] = {kind: [] for kind in _Kind}
-        # Stamp and values of those that came one by one; arrays are made of many at once.
+        # Stamp and values of rows that came one by one; many at once become arrays.
         self._rows: dict[_Kind, list[tuple[float, ...]]] = {kind: [] for kind in _Kind}
         self.newest_ns = dict.fromkeys(_Kind, NEVER)
 
     def add(self, kind: _Kind, stamps: np.ndarray, values: np.ndarray) -> None:
-        """Take n of a kind; values: shape (width, n)."""
+        """Add n rows of a kind; values: shape (width, n)."""
         if len(stamps):
             self._new[kind].append(_Columns(stamps, values))
             self.newest_ns[kind] = max(self.newest_ns[kind], int(stamps.max()))
@@ -201,13 +201,13 @@ class _Waiting:
         return any(self._new.values()) or any(self._rows.values())
 
     def add_row(self, kind: _Kind, stamp_ns: int, *values: float) -> None:
-        """Take one of a kind."""
+        """Add one row of a kind."""
         self._rows[kind].append((stamp_ns, *values))
         if stamp_ns > self.newest_ns[kind]:
             self.newest_ns[kind] = stamp_ns
 
     def sorted(self, kind: _Kind) -> _Columns:
-        """All of a kind, in order of stamps."""
+        """All rows of a kind, in order of stamps."""
         new = self._new[kind]
         if rows := self._rows[kind]:
             moments, *columns = zip(*rows, strict=True)
@@ -225,7 +225,7 @@ class _Waiting:
         return new[0]
 
     def taken(self, kind: _Kind, until_ns: int) -> _Columns:
-        """Those of a kind up to a stamp; they no longer wait."""
+        """Remove and return the rows of a kind up to a stamp."""
         stamps, values = self.sorted(kind)
         count = int(stamps.searchsorted(until_ns, side="right"))
         if count:
@@ -241,9 +241,9 @@ class EnergyAccount(Saveable[SavedAccount]):
         meter: integrates power, since the last reset.
         gauge: state of charge and capacity.
         reconciled: outcome of the last battery dropout that ended, None before.
-        usual: `remaining.usual_cost`, J/m, NaN if unknown; set by the learner of the car.
+        usual: `remaining.usual_cost`, J/m, NaN if unknown; the owner sets it.
         route: of the last plan (`follow`), None before any.
-        admission: admits readings, and counts those that it refuses.
+        admission: admits readings, and counts refused ones.
     """
 
     def __init__(
@@ -256,14 +256,14 @@ class EnergyAccount(Saveable[SavedAccount]):
         """Start at zero.
 
         Args:
-            meter: to be used here alone.
-            vehicle: whose account this is; that of another car is refused.
+            meter: not shared with others.
+            vehicle: key of the car; a saved account of another car is refused.
             capacity: energy of the full battery in the vehicle file, J, NaN if unknown.
             limits: of the car.
         """
         self.meter, self.gauge = meter, ChargeGauge(capacity)
         self._battery = BatteryModel(capacity)
-        # Readings by which trip and battery are extended once somebody asks for them.
+        # Readings that trip and battery have not taken yet.
         self._driven: list[tuple[np.ndarray, ...]] = []
         self._told: list[tuple[np.ndarray, ...]] = []
         self.usual = math.nan
@@ -273,12 +273,12 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def refused(self) -> Counter[str]:
-        """Counts of impossible readings and powers, by reason, since the process began."""
+        """Counts of refused readings and powers, by reason, since the process began."""
         return self.admission.refused
 
     def reset(self) -> None:
-        """Forget everything, as if nothing had ever been counted."""
-        self._shown = EnergyTotals()  # of the lifetime, last published
+        """Forget everything, lifetime included."""
+        self._shown = EnergyTotals()  # lifetime as last published
         self.meter.reset()
         self._trip = TripLog()
         self._driven.clear()
@@ -290,14 +290,14 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _begin(self, before: EnergyTotals, correction: TripCorrection) -> None:
         self._before_reset, self._correction = before, correction
         self._newest_ns = self._summary_ns = 0
-        self._speed = NEVER, 0.0  # the newest: stamp, and m/s
+        self._speed = NEVER, 0.0  # newest stamp and speed, m/s
         self.reconciled: Reconciled | None = None
         self._waiting = _Waiting()
         self._awaits_charge: tuple[Dropout, float] | None = None
-        self._charge_before = math.nan  # the last one received while the battery was measured
+        self._charge_before = math.nan  # see `SavedAccount`
 
     def reset_trip(self) -> None:
-        """Count from zero; the lifetime, what was learned and the last kilometres stay."""
+        """Count the trip from zero; lifetime, capacity and the last kilometres stay."""
         self.flush()
         lifetime, newest_ns = self.lifetime(), self._newest_ns
         self.meter.reset()
@@ -306,7 +306,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._newest_ns = newest_ns
 
     def begin_after_jump(self) -> None:
-        """After a jump of time: keep the totals, and join no later reading to earlier ones."""
+        """After a jump of time: keep the totals; join no later reading to earlier ones."""
         self.flush()
         self.admission.begin_anew()
         saved = self.saved()
@@ -314,7 +314,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.take(replace(saved, meter=meter, charge_before=math.nan))
 
     def begin_readings_anew(self) -> None:
-        """After a jump of their time: join no speed or battery reading to earlier ones."""
+        """After a jump of the readings' time: join no speed or battery reading to earlier ones."""
         self._count_readings(replace(self.meter.course, ended=()), LATER)
         self._waiting.newest_ns |= {_Kind.SPEED: NEVER, _Kind.BATTERY: NEVER}
         self.admission.begin_anew()
@@ -323,13 +323,13 @@ class EnergyAccount(Saveable[SavedAccount]):
         self.gauge.begin_anew()
 
     def begin_next_trip(self) -> None:
-        """Begin as after a jump of time, and count the trip from zero; the lifetime goes on."""
+        """Count the trip from zero, without a route; join no later reading to earlier ones."""
         self.begin_after_jump()
         self.route = None
         self.reset_trip()
 
     def add_measured(self, stamps: np.ndarray, power: np.ndarray, sigma: np.ndarray) -> None:
-        """Take n measurements: stamps, ns, power and its 1-sigma, W, NaN if unknown."""
+        """Add n measurements: stamps, ns, power and its 1-sigma, W, NaN if unknown."""
         self._add_powers(_Kind.MEASURED, self.admission.limits.power, stamps, power, sigma)
 
     def add_predicted(
@@ -340,12 +340,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         energy_sigma: np.ndarray,
         energy: np.ndarray,
     ) -> None:
-        """Take n predictions (see `PowerRows`)."""
-        rest = energy, energy_sigma
-        self._add_powers(_Kind.PREDICTED, MAX_POWER, stamps, power, sigma, *rest)
+        """Add n predictions (see `PowerRows`)."""
+        columns = power, sigma, energy, energy_sigma
+        self._add_powers(_Kind.PREDICTED, MAX_POWER, stamps, *columns)
 
     def add_power(self, estimate: PowerEstimate) -> None:
-        """Take one power of the estimator, as it comes."""
+        """Add one power of the estimator."""
         power, sigma = estimate.power, estimate.sigma
         values = power, sigma, estimate.energy, estimate.energy_sigma
         is_measured = estimate.kind is PowerKind.MEASURED
@@ -358,7 +358,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _add_powers(
         self, kind: _Kind, most: float, stamps: np.ndarray, *columns: np.ndarray
     ) -> None:
-        """Take powers, W, except impossible ones."""
+        """Add the powers, W, that are possible; count the others."""
         values = np.full((WIDTHS[kind], len(stamps)), np.nan)
         values[: len(columns)] = columns
         possible = _is_possible(values[0], values[1], most)
@@ -368,13 +368,13 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._waiting.add(kind, stamps, values)
 
     def add_block(self, block: Block) -> None:
-        """Take admitted readings; those of speed and battery count."""
+        """Add the speed and battery readings of a block; all were admitted."""
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
         self._waiting.add(_Kind.SPEED, speeds.stamps, speeds.values[:1])
         self._waiting.add(_Kind.BATTERY, battery.stamps, battery.values[:3])
 
     def add_reading(self, reading: Reading) -> None:
-        """Take one admitted reading, as it comes."""
+        """Add one admitted reading."""
         if isinstance(reading, SpeedReading):
             self._waiting.add_row(_Kind.SPEED, reading.stamp_ns, reading.speed)
         elif isinstance(reading, BatteryReading):
@@ -383,7 +383,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     @property
     def _until_ns(self) -> int:
-        """Stamp up to which everything has come: predictions, or readings some seconds ahead."""
+        """Stamp up to which rows are counted: newest prediction, or newest row less `AHEAD_NS`."""
         newest_ns = self._waiting.newest_ns
         return max(newest_ns[_Kind.PREDICTED], max(newest_ns.values()) - AHEAD_NS)
 
@@ -394,7 +394,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return int(stamps[place]) if place < len(stamps) else LATER
 
     def count(self, until_ns: int = LATER) -> EnergyState:
-        """Count what waits up to a stamp; returns the states at each prediction."""
+        """Count waiting rows up to a stamp; returns the states at each prediction."""
         if not self._waiting:
             return NO_STATES
         corrections, course = self._count(min(until_ns, self._until_ns)), self.meter.course
@@ -404,12 +404,12 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._corrected(states, course.predicted.stamp_ns, corrections)
 
     def flush(self) -> EnergyState:
-        """Count everything that waits, because the drive is over or is saved."""
+        """Count all waiting rows, at the end of a drive or before saving."""
         self._waiting.newest_ns[_Kind.PREDICTED] = max(self._waiting.newest_ns.values())
         return self.count()
 
     def _count(self, until_ns: int) -> list[_Correction]:
-        """Count what waits up to a stamp; returns the corrections."""
+        """Count waiting rows up to a stamp; returns the corrections."""
         predicted, measured = (
             PowerRows(stamps, stamps, *values)
             for stamps, values in (
@@ -425,7 +425,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._count_readings(course, until_ns)
 
     def _count_readings(self, course: MeterCourse, until_ns: int) -> list[_Correction]:
-        """Count the readings up to a stamp, with the course of the meter."""
+        """Count the readings up to a stamp, by the course of the meter; returns corrections."""
         stamps, (speeds,) = self._waiting.taken(_Kind.SPEED, until_ns)
         if len(stamps):
             energies, _, _ = course.consumed(course.up_to(stamps))
@@ -438,7 +438,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return corrections
 
     def _extend(self) -> None:
-        """Extend trip and battery by all that waits, which costs as much as one row."""
+        """Give trip and battery their waiting readings: many cost as much as one."""
         for log, waiting in ((self._trip, self._driven), (self._battery, self._told)):
             if waiting:
                 log.extend(*map(np.concatenate, zip(*waiting, strict=True)))
@@ -465,7 +465,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     def _corrected(
         self, states: EnergyState, stamps: np.ndarray, later: Sequence[_Correction]
     ) -> EnergyState:
-        """States with the corrections made by then."""
+        """States with the corrections up to their stamps; `later` ones were made in this block."""
         energy = np.full(len(states.stamp_ns), self._correction.energy)
         variance = np.full(len(states.stamp_ns), self._correction.variance)
         for stamp_ns, correction in later:
@@ -488,7 +488,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         current: np.ndarray,
         charge: np.ndarray,
     ) -> list[_Correction]:
-        """Take battery readings; returns the corrections of dropouts, with their stamps."""
+        """Count battery readings; returns the corrections of dropouts."""
         if len(stamps):
             self._told.append((stamps, voltage, current, charge))
         possible = (charge >= 0.0) & (charge <= 1.0)
@@ -515,7 +515,7 @@ class EnergyAccount(Saveable[SavedAccount]):
                 corrections.append(_Correction(stamp_ns, added))
                 self._awaits_charge = None
             seconds = None if is_silent else before.unmeasured_s + unmeasured_s
-            # The last one counts in any case, because of its stamp.
+            # The last reading always counts, because of its stamp.
             if number < len(stamps) and not self.gauge.is_new(level, seconds):
                 continue
             net = before.net.value + consumed + self._correction.energy
@@ -532,7 +532,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._awaits_charge = dropout, charge
 
     def _reconcile(self, dropout: Dropout, before: float, after: float) -> TripCorrection:
-        """Join a dropout with its states of charge, unless these are impossible."""
+        """Reconcile a dropout with the states of charge around it, unless they are impossible."""
         by_charge = self.gauge.energy_between(before, after)
         if not abs(by_charge.value) <= MAX_POWER * dropout.duration:
             by_charge = UNKNOWN
@@ -574,7 +574,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self._before_reset.distance + self.trip.total.distance
 
     def follow(self, curve: EnergyCurve | None) -> None:
-        """Take the plan of a forecast as the route that the car follows from here on.
+        """Follow the plan of a forecast as the route from here on.
 
         A plan shorter than `SHORTEST` is the horizon of a controller and changes nothing.
         """
@@ -594,18 +594,18 @@ class EnergyAccount(Saveable[SavedAccount]):
         return self.gauge.charge(self._newest_ns, self.lifetime().net)
 
     def tick(self) -> AccountSummary | None:
-        """The summary, when the last is a second of stamps old."""
+        """The summary if the last one is `SUMMARY_NS` old, else None."""
         return self.show() if self._newest_ns - self._summary_ns >= SUMMARY_NS else None
 
     def show(self) -> AccountSummary:
-        """The account now, to be published; later lifetimes draw and regenerate no less."""
+        """The summary, to be published: later lifetimes draw and regenerate no less."""
         self._summary_ns = self._newest_ns
         summary = self.summary()
         self._shown = summary.lifetime
         return summary
 
     def summary(self) -> AccountSummary:
-        """The account now, for a look at it."""
+        """The account now; unlike `show`, it changes nothing."""
         since_reset, lifetime = self.since_reset(), self.lifetime().not_below(self._shown)
         charge = self.gauge.charge(self._newest_ns, lifetime.net)
         usable = self.gauge.usable(charge)
@@ -630,10 +630,10 @@ class EnergyAccount(Saveable[SavedAccount]):
         return {name: stretch.energy / stretch.distance for name, stretch in stretches.items()}
 
     def _remaining(self, usable: Uncertain, consumption: Mapping[str, float]) -> Remaining | None:
-        """It needs what the last 10 km cost; the long run is 100 km, or all so far.
+        """Distance to empty, by the cost of the last 10 km and, in the long run, 100 km or all.
 
-        On a route before that, the usual legs say what the road beyond it costs; while none are
-        known, a route of 10 km does.
+        Before 10 km, on a route, the usual legs give the cost beyond it; while these are unknown,
+        a route of at least 10 km does.
         """
         route = self._route_ahead()
         recent = consumption.get("10", math.nan if route is None else self.usual)
@@ -653,7 +653,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         return None if over else route
 
     def saved(self) -> SavedAccount:
-        """State to save: of what is counted."""
+        """State to save, of the counted rows."""
         return SavedAccount(
             version=STATE_VERSION,
             vehicle=self._vehicle,
@@ -683,6 +683,6 @@ class EnergyAccount(Saveable[SavedAccount]):
 
 
 def _is_possible(power: Any, sigma: Any, most: float) -> Any:
-    """True where power and its 1-sigma, W, are possible; a sigma may be NaN, unknown."""
+    """True where power and its 1-sigma, W, are possible; sigma may be NaN."""
     possible = (sigma >= 0.0) & (sigma <= MAX_POWER)
     return (abs(power) <= most) & (possible | (sigma != sigma))

@@ -1,15 +1,15 @@
 """Model of the battery: charge, and a voltage that falls with charge and with current.
 
-The share of charge that a kilowatt-hour takes varies: a full battery has a higher voltage than an
-empty one, and its resistance costs more at higher power. The capacity in ampere hours does not
-vary (61.2 to 62.7 Ah on eleven trips of an i3, whose energy per percent differs by 11 %). So the
-charge along a plan follows
+The charge that a kilowatt-hour takes varies: a full battery has a higher voltage than an empty
+one, and its resistance costs more at higher power. The capacity in ampere hours does not vary
+(61.2 to 62.7 Ah on eleven trips of an i3, whose energy per percent differs by 11 %). So the charge
+along a plan follows
 
     dq/dt = -I / Q,    P = V I,    V = U(q) - R I
 
-in closed form, for U is a straight line in q. It and R are learned from voltage, current and state
-of charge by a Kalman filter, Q as the capacity is (`energy.charge`). A polarisation behind a
-second resistance was tried and brought nothing at the end of a plan.
+in closed form, because U is a straight line in q. A Kalman filter learns U and R from voltage,
+current and state of charge; Q is learned like a capacity in energy (`energy.charge`). A
+polarisation behind a second resistance did not improve the charge at the end of a plan.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from evpinn_ros.core.energy.quadrature import MAX_GAP, EnergyIntegral
 from evpinn_ros.core.signals.readings import MAX_CURRENT, MAX_VOLTAGE, MIN_VOLTAGE, NANOSECONDS
 
 LEARN_EVERY = 1.0  # s
-# 1-sigma of the error of the voltage, V: 1.5 V that last for a minute.
+# 1-sigma of one voltage, V: an error of 1.5 V that lasts for a minute.
 NOISE = 10.0
-LEAST_SAMPLES = 60  # before the model is used
+LEAST_SAMPLES = 60  # from which on the model is used
 LEVEL_TIME = 20.0  # s over which the error of the voltage is averaged
-# 1-sigma before any reading, and drift in an hour (temperature): of the voltage U at half
-# charge, of its slope by charge, both as shares of it; of R as a share of its prior.
+# 1-sigma before any reading, and drift in an hour (temperature), as shares: of U at half charge
+# and of its slope, over that U; of R, over its prior.
 PRIOR_SHARE = np.array([0.08, 0.1, 1.0])
 DRIFT_SHARE = np.array([0.01, 0.005, 0.1])
 SLOPE_SHARE = 0.15  # of U, from empty to full: typical of lithium-ion cells
@@ -59,7 +59,7 @@ class SavedBattery:
     full_charge: SavedGauge
 
     def __post_init__(self) -> None:
-        """Refuse what no battery is."""
+        """Refuse a state that no battery has."""
         square = self.covariance.reshape(3, 3)
         if self.samples and not (
             MIN_VOLTAGE <= self.state[0] <= MAX_VOLTAGE
@@ -73,11 +73,11 @@ class BatteryModel(Saveable[SavedBattery]):
     """Learns one battery from its voltage, current and state of charge.
 
     Attributes:
-        samples: seconds that it learned from.
+        samples: number of samples learned from, one each `LEARN_EVERY`.
     """
 
     def __init__(self, capacity: float) -> None:
-        """Begin without a reading; `capacity` of the vehicle file, J, NaN if unknown."""
+        """Start without a reading; `capacity` of the vehicle file, J, NaN if unknown."""
         self._capacity = capacity
         self.reset()
 
@@ -104,11 +104,11 @@ class BatteryModel(Saveable[SavedBattery]):
     def extend(
         self, stamps: np.ndarray, voltage: np.ndarray, current: np.ndarray, charge: np.ndarray
     ) -> None:
-        """Take readings, shape (n,) each, as in `BatteryReading`; of what no battery has, none."""
-        known = (charge >= 0.0) & (charge <= 1.0)
-        charge = np.append(self._charge, np.where(known, charge, math.nan))
-        told = np.maximum.accumulate(np.where(np.isnan(charge), 0, np.arange(len(charge))))
-        charge = charge[told]  # the last known one
+        """Take readings, shape (n,) each, as in `BatteryReading`; impossible ones are ignored."""
+        within = (charge >= 0.0) & (charge <= 1.0)
+        charge = np.append(self._charge, np.where(within, charge, math.nan))
+        last = np.maximum.accumulate(np.where(np.isnan(charge), 0, np.arange(len(charge))))
+        charge = charge[last]
         self._charge = float(charge[-1])
         possible = (voltage >= MIN_VOLTAGE) & (voltage <= MAX_VOLTAGE)
         possible &= np.abs(current) <= MAX_CURRENT
@@ -142,7 +142,7 @@ class BatteryModel(Saveable[SavedBattery]):
         self._covariance = np.diag((scale * PRIOR_SHARE) ** 2)
 
     def _scale(self, voltage: float) -> np.ndarray:
-        """Scales of the shares of priors and drifts: U twice, V, and the prior of R, Ohm."""
+        """Scales of `PRIOR_SHARE` and `DRIFT_SHARE`: U, V, twice, and the prior of R, Ohm."""
         full = self._capacity / voltage
         hour = (USUAL_CHARGE if math.isnan(full) else full) / 3600
         return np.array([voltage, voltage, RESISTANCE_SHARE * voltage / hour])
@@ -167,7 +167,7 @@ class BatteryModel(Saveable[SavedBattery]):
         self._learned_ns = stamp_ns
 
     def after(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> BatteryEnd:
-        """The battery at the end of one plan; charge 0 if it would be empty before.
+        """The battery at the end of one plan; charge 0 if it is empty before.
 
         Args:
             result: forecast of a single plan, shape (n,).
@@ -186,22 +186,22 @@ class BatteryModel(Saveable[SavedBattery]):
     def along(self, result: Forecast, charge: Uncertain, capacity: Uncertain) -> np.ndarray:
         """State of charge at each point of one plan and its 1-sigma, shape (2, n).
 
-        While too little was learned of the battery, it is energy over capacity. NaN where unknown,
-        0 or less from where the battery is empty: it reaches no descent behind. A full one takes
-        nothing back.
+        Energy over capacity while the model is not `known`. NaN where unknown; 0 or less from the
+        point where the battery is empty, even if a descent follows. A full battery takes nothing
+        back.
         """
         if charge.known and self.known:
             full = self._gauge.capacity
             left = self._left(result, charge.value)
-            own = result.sigma / (full.value * np.maximum(self._line(left), MIN_VOLTAGE))
+            by_energy = result.sigma / (full.value * np.maximum(self._line(left), MIN_VOLTAGE))
         else:
             full = capacity
             left = charge.value - result.energy / full.value
-            own = result.sigma / full.value
+            by_energy = result.sigma / full.value
         lost = (charge.value - left) * full.sigma / full.value
         left = left - np.maximum(np.maximum.accumulate(left) - 1.0, 0.0)
         left = np.where(np.maximum.accumulate(left <= EMPTY), np.minimum(left, 0.0), left)
-        return np.stack([left, np.sqrt(charge.sigma**2 + own**2 + lost**2)])
+        return np.stack([left, np.sqrt(charge.sigma**2 + by_energy**2 + lost**2)])
 
     def _left(self, result: Forecast, charge: float) -> np.ndarray:
         """State of charge at each point of a plan, shape (n,), `charge` at its begin.
@@ -220,7 +220,7 @@ class BatteryModel(Saveable[SavedBattery]):
         return max(float(self._line(charge)), MIN_VOLTAGE)
 
     def _line(self, charge: Any) -> Any:
-        """U at states of charge, with the present error of the straight line, V."""
+        """U at states of charge, V: the straight line plus its present error."""
         base, slope = self._state[:2].tolist()
         return base + slope * (charge - 0.5) + self._level
 
@@ -228,7 +228,7 @@ class BatteryModel(Saveable[SavedBattery]):
         return max(float(self._state[2]), 0.0)
 
     def _drawn(self, power: float, charge: float) -> float:
-        """Current, A, that gives a power, W, or the largest possible power."""
+        """Current at a power, W, A; beyond the largest possible power, that of this."""
         voltage = self._open_voltage(charge)
         root = math.sqrt(max(voltage**2 - 4 * self._resistance() * power, 0.0))
         return 2 * power / (voltage + root)  # the stable form, also for R = 0

@@ -1,9 +1,9 @@
 """State of charge between its readings, and the capacity learned from it.
 
-A drop of the state of charge by d while the battery gave the measured energy E says that the full
-battery holds E / d. Readings are rounded, so d is as uncertain as their step, which is learned
-from them; besides, the energy of a percent varies with temperature and age by `CAPACITY_SPREAD`.
-Such values and the prior of the vehicle file are averaged by their variance.
+If the state of charge drops by d while the battery gives the measured energy E, the full battery
+holds E / d. Readings are rounded, so d is as uncertain as their step, which is learned from them;
+in addition, the energy of a percent varies with temperature and age by `CAPACITY_SPREAD`. These
+capacities and the prior of the vehicle file are averaged by their variance.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from evpinn_ros.common.saved_fields import Range, Saveable
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 CHARGE_TIMEOUT_NS = 60 * NANOSECONDS  # without a reading, after which charge is projected
-LEAST_CHANGE = 0.1  # of the state of charge, from which on capacity is learned
+LEAST_CHANGE = 0.1  # of the state of charge, that capacity is learned from
 LEAST_STEPS = 10  # rounding steps in that change
-FIRST_STEP = 0.01  # of the readings, before one was seen
-SMALLEST_STEP, LARGEST_STEP = 0.005, 0.05  # finer steps are interpolated by the car
+FIRST_STEP = 0.01  # rounding step of the readings before one was seen
+SMALLEST_STEP, LARGEST_STEP = 0.005, 0.05  # the car interpolates finer steps
 CAPACITY_PRIOR = 0.2  # relative 1-sigma of the vehicle file: usable or gross, new or aged
 CAPACITY_SPREAD = 0.05  # relative 1-sigma of one capacity, without rounding
 MOST_LEARNED = 1e9  # changes that a saved capacity rests on
@@ -53,7 +53,7 @@ class _ChargeSample(NamedTuple):
         charge: 0..1.
         consumed: net energy, J, measured or predicted.
         variance: of `consumed`, J^2.
-        unmeasured_s: time so far that the battery was not measured, s; None in such a time.
+        unmeasured_s: time without a measured battery so far, s; None during a dropout.
     """
 
     stamp_ns: int
@@ -65,7 +65,7 @@ class _ChargeSample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedGauge:
-    """Capacity that was learned, and the step of the readings; None before. Not the readings."""
+    """Learned capacity, and rounding step of the readings, each None before it is known."""
 
     capacity: Uncertain | None = None
     learned: Annotated[int, Range(0, MOST_LEARNED)] = 0
@@ -77,15 +77,15 @@ class ChargeGauge(Saveable[SavedGauge]):
 
     Attributes:
         capacity: energy of the full battery, J.
-        learned: how many changes of the state of charge it rests on.
+        learned: number of changes of the state of charge that `capacity` rests on.
     """
 
     def __init__(self, capacity: float, limits: tuple[float, float] = CAPACITY_LIMITS) -> None:
-        """Start from a capacity and its limits, J, or A s where charge is counted.
+        """Start from a capacity, J; or A s, to count charge in place of energy.
 
         Args:
             capacity: of the vehicle file, NaN if unknown.
-            limits: of what is learned.
+            limits: of a learned capacity.
         """
         self._limits = limits
         self._prior = Uncertain(capacity, CAPACITY_PRIOR * capacity)
@@ -106,7 +106,7 @@ class ChargeGauge(Saveable[SavedGauge]):
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Join nothing to earlier readings: time jumped, or energy counts from elsewhere."""
+        """Join nothing to earlier readings, after a jump of time or of the counted energy."""
         self._last: _ChargeSample | None = None
         self._anchor: _ChargeSample | None = None
 
@@ -117,18 +117,18 @@ class ChargeGauge(Saveable[SavedGauge]):
 
     @property
     def least_change(self) -> float:
-        """Change of the state of charge, 0..1, from which on it tells the capacity."""
+        """Least change of the state of charge, 0..1, that the capacity is learned from."""
         return max(LEAST_CHANGE, LEAST_STEPS * self._step)
 
     @property
     def health(self) -> Uncertain:
-        """Capacity over that of the vehicle file, averaged with it; unknown if none is learned."""
+        """`capacity` over that of the vehicle file; unknown if none is learned."""
         if not self.learned:
             return UNKNOWN
         return Uncertain(*(joules / self._prior.value for joules in self.capacity))
 
     def is_new(self, charge: float, unmeasured_s: float | None) -> bool:
-        """True if `update` would learn anything from this but the newest stamp."""
+        """True if `update` would change anything but the newest stamp."""
         last, anchor = self._last, self._anchor
         if last is None or anchor is None or charge != last.charge:
             return True
@@ -142,8 +142,8 @@ class ChargeGauge(Saveable[SavedGauge]):
         Args:
             stamp_ns: of the reading.
             charge: 0..1.
-            consumed: net energy since whenever, J.
-            unmeasured_s: time so far that this energy was not measured, s; None while it is not.
+            consumed: net energy since any fixed moment, J.
+            unmeasured_s: time without a measured battery so far, s; None during a dropout.
         """
         if not 0.0 <= charge <= 1.0:
             return
@@ -177,7 +177,7 @@ class ChargeGauge(Saveable[SavedGauge]):
         self.learned += 1
 
     def _average(self, shown: Uncertain) -> None:
-        """Weigh by variance, and never be surer than one reading's spread over four.
+        """Average by variance; the 1-sigma is at least a fourth of `CAPACITY_SPREAD`.
 
         Outliers get a larger sigma: a winter trip of the i3 gives 29 kWh, others 23.
         """
@@ -196,10 +196,10 @@ class ChargeGauge(Saveable[SavedGauge]):
         return self._last is not None and stamp_ns - self._last.stamp_ns > CHARGE_TIMEOUT_NS
 
     def charge(self, stamp_ns: int, consumed: Uncertain) -> Uncertain:
-        """State of charge, 0..1, at a moment by which this net energy, J, was taken.
+        """State of charge, 0..1, at a moment, by the net energy consumed until then, J.
 
-        The last reading while it is at most a minute old; after that, less the energy taken since.
-        Unknown without a reading, or without the capacity that this needs.
+        The last reading for `CHARGE_TIMEOUT_NS`; after that, less the energy taken since. Unknown
+        without a reading, or then without a capacity.
         """
         last = self._last
         if last is None:
@@ -218,7 +218,7 @@ class ChargeGauge(Saveable[SavedGauge]):
         return Uncertain(min(max(value, 0.0), 1.0), math.sqrt(variance))
 
     def energy_between(self, before: float, after: float) -> Uncertain:
-        """Energy, J, that two states of charge, 0..1, lie apart; unknown without capacity."""
+        """Energy between two states of charge, 0..1, J; unknown without capacity."""
         drop = before - after
         sigma = math.hypot(
             math.sqrt(2) * self.rounding * self.capacity.value, drop * self.capacity.sigma
@@ -231,6 +231,6 @@ class ChargeGauge(Saveable[SavedGauge]):
         return Uncertain(charge.value * self.capacity.value, sigma)
 
     def saved(self) -> SavedGauge:
-        """The capacity, once it was learned, and the step of the charge, once it was seen."""
+        """Capacity and rounding step to save, each None before it is known."""
         capacity = self.capacity if self.learned > 0 else None
         return SavedGauge(capacity, self.learned, self._step if self._step_seen else None)

@@ -1,8 +1,8 @@
-"""A plan as steps of the road, which do not depend on its points or borders.
+"""A plan as steps of the road, which do not depend on how the plan is cut.
 
 A point on the line between its neighbours adds no information, nor does a border between legs of
 one speed and slope (`estimation.even`). Both are left out, and the rest is divided by fixed rules,
-so that energy and sigma depend on the road alone. The points of the plan are interpolated.
+so that energy and sigma depend on the road alone. Values at the plan's points are interpolated.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from evpinn_ros.core.estimation.even import PIECE_SECONDS, Path, air_of, even_co
 from evpinn_ros.core.estimation.unevenness import Runs, runs_along
 from evpinn_ros.core.signals.interval import Steps
 
-# Of speed within a step of a line at most: m/s, and of the highest speed on the line.
+# Largest change of speed in a step, m/s, and over the highest speed of the line.
 SMALL_CHANGE, SMALL_SHARE = 1.0, 0.25
-MOST_STEPS = 100_000  # of the lines of a plan together, beyond one each
-ON_A_LINE = 1e-7, 1e-6  # m/s and m: distance from a line that is rounding
-WIND_STEPS = 50.0  # in the length in which a wind fades
+MOST_STEPS = 100_000  # of a plan, or one for each of its lines
+ON_A_LINE = 1e-7, 1e-6  # m/s and m; a smaller distance from a line is rounding
+WIND_STEPS = 50.0  # within `wind_length`
 
 
 class Course(NamedTuple):
@@ -29,11 +29,11 @@ class Course(NamedTuple):
 
     Attributes:
         time: at the ends of the steps, s since the start, shape (n + 1,).
-        distance: the same, m.
+        distance: at the same places, m since the start, shape (n + 1,).
         steps: n of them.
-        unknown: m of each whose height is not known, shape (n,).
-        run: number of the line or run of legs that each is of, shape (n,).
-        runs: these.
+        unknown: m of each step whose height is not known, shape (n,).
+        run: number of the line, or run of legs, of each step, shape (n,).
+        runs: lines or runs of legs by this number.
     """
 
     time: np.ndarray
@@ -53,7 +53,7 @@ def course_of(
         plan: its points or legs.
         density: of the air, kg/m^3.
         head_wind: against the car at the start, m/s over ground.
-        wind_length: m within which it fades to a third.
+        wind_length: m within which the wind fades to 1/e.
     """
     piece = wind_length / WIND_STEPS if head_wind else math.inf
     if isinstance(plan, Legs):
@@ -125,7 +125,7 @@ def _middle(duration: np.ndarray, length: np.ndarray, speed: np.ndarray) -> np.n
 def _divided(
     time: np.ndarray, distance: np.ndarray, speed: np.ndarray, height: np.ndarray, piece: float
 ) -> tuple[np.ndarray, ...]:
-    """Number of the line of each step between points; and time, distance, speed and height there.
+    """Lines divided into steps: number of each step's line; time, distance, speed, height of ends.
 
     Args:
         time: at the ends of the lines, s.

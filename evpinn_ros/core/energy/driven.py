@@ -16,7 +16,7 @@ from evpinn_ros.core.energy.plan import (
 
 PLAN_STEP = 1.0  # s between points of a plan
 COARSE = 5.0  # s between speeds, above which speed varies between them
-ON_A_LINE = 1e-3  # m/s and m: less than what receivers and logs round to
+ON_A_LINE = 1e-3  # m/s and m, finer than the rounding of receivers and logs
 ELEVATION_STEP = 5.0  # m
 ELEVATION_SMOOTHING = 50.0  # m, 1-sigma: a logged altitude comes in steps of a metre
 MOST_STEPS = 1_000_000  # of elevation; longer drives have longer steps
@@ -25,16 +25,16 @@ MOST_STEPS = 1_000_000  # of elevation; longer drives have longer steps
 def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
     """The plan of a recorded drive: speed once a second, and elevation.
 
-    Speeds are commanded, unless they are so far apart that they vary in between (`COARSE`): then
-    they are the points of the plan, and uneven speed between them is expected.
+    Speeds are commanded, unless they are more than `COARSE` apart: then each is a point of the
+    plan, and uneven speed between them is expected.
 
     Args:
-        speed: time, s, rising, and m/s, shape (n, 2), some seconds long.
-        altitude: time, s, and m, shape (m, 2); empty, or always the same, if not known.
+        speed: time, s, rising, and speed, m/s, shape (n, 2), some seconds long.
+        altitude: time, s, and altitude, m, shape (m, 2); empty or constant if unknown.
     """
     time, speeds = speed[:, 0] - speed[0, 0], speed[:, 1]
     rough = float(np.median(np.diff(time))) > COARSE
-    # The last step is longer or shorter by half at the most, so that the plan ends as the drive.
+    # The last step is up to half a step longer or shorter, so that the plan ends with the drive.
     steps = np.arange(0.0, time[-1] - PLAN_STEP / 2, PLAN_STEP)
     grid = time if rough else np.append(steps, time[-1])
     at = np.maximum(np.interp(grid, time, speeds), 0.0)
@@ -46,14 +46,14 @@ def drive_plan(speed: np.ndarray, altitude: np.ndarray) -> Plan:
 
 
 def is_trace(time: np.ndarray, column: np.ndarray) -> bool:
-    """True if the rows of a plan are close enough to show every change of speed.
+    """True if the rows of a plan are at most `COARSE` apart, without rows on a line.
 
     Args:
         time: s, rising, shape (n,).
-        column: speeds, m/s, or distances, m, there; rows on the line between others say nothing.
+        column: speeds, m/s, or distances, m, shape (n,).
     """
-    told = telling(len(time), beside_line(time, column, ON_A_LINE))
-    return float(np.median(np.diff(time[told]))) <= COARSE
+    corners = telling(len(time), beside_line(time, column, ON_A_LINE))
+    return float(np.median(np.diff(time[corners]))) <= COARSE
 
 
 def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -73,5 +73,5 @@ def road_height(along: np.ndarray, height: np.ndarray, distance: np.ndarray) -> 
     smooth = gaussian_filter1d(
         np.interp(road, along[first], height[first]), ELEVATION_SMOOTHING / step
     )
-    found: np.ndarray = np.interp(distance, road, smooth)
-    return found
+    heights: np.ndarray = np.interp(distance, road, smooth)
+    return heights

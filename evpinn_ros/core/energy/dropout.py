@@ -1,12 +1,11 @@
 """A battery dropout: its prediction, and the reconciliation when it is over.
 
-The state of charge before and after also gives the energy of a dropout, with the uncertainty of
-its steps and of the capacity. Both values are joined by their variances. If the state of charge
-rose, the car was charged; if both values are further apart than three sigma, they contradict each
-other. Then the prediction stays, and the diagnostics say so. If speed was silent too, the
-prediction lacks that time: the state of charge counts alone, if it is surer than the energy that
-may have been taken then (`energy.hole`). Without a state of charge the error of the prediction
-stays unknown: the battery gives power, and the power of that time is lost.
+The states of charge before and after also give the energy of a dropout, with the uncertainty of
+their steps and of the capacity. Both energies are averaged by their variances. If the state of
+charge rose, the car was charged; if the energies are more than three sigma apart, they contradict
+each other. In both cases the prediction stays, and the diagnostics say so. If speed was silent
+too, the prediction lacks that time: the state of charge counts alone, if its sigma is smaller
+(`energy.hole`). Without a state of charge nothing shows the error of the prediction.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from typing import NamedTuple
 from evpinn_ros.core.energy.charge import Uncertain
 from evpinn_ros.core.energy.plausible import Joules, Seconds
 
-LEAST_DROPOUT = 60.0  # s; in less the state of charge hardly moves a step
+LEAST_DROPOUT = 60.0  # s; in less, the state of charge moves by hardly a step
 MOST_UNKNOWN = 2.0  # s without speed that a prediction may lack
 CONTRADICTION = 3.0  # sigma
 
@@ -46,7 +45,7 @@ class Dropout(NamedTuple):
         end_ns: stamp of the first battery reading after it.
         duration: s.
         bridge: its prediction.
-        sigma: 1-sigma of its energy, with that of unknown time, J.
+        sigma: 1-sigma of its energy, unknown time included, J.
     """
 
     end_ns: int
@@ -56,7 +55,7 @@ class Dropout(NamedTuple):
 
     @property
     def unknown_s(self) -> float:
-        """Time of it without speed too, s."""
+        """Time in it without speed, s."""
         return max(self.duration - self.bridge.covered_s, 0.0)
 
 
@@ -75,11 +74,11 @@ class Reconciled(NamedTuple):
     """A dropout and its reconciliation; energies in J.
 
     Attributes:
-        dropout: with what was predicted.
+        dropout: with its prediction.
         by_charge: energy by the state of charge, NaN if unknown.
-        correction: added to what was predicted.
+        correction: added to the prediction.
         variance_taken: decrease of the variance of the energy, J^2; negative if it rose.
-        verdict: which of the rules applied.
+        verdict: rule that applied.
     """
 
     dropout: Dropout
@@ -90,7 +89,7 @@ class Reconciled(NamedTuple):
 
 
 def reconcile(dropout: Dropout, by_charge: Uncertain) -> Reconciled:
-    """Join the prediction of a dropout with the energy by the state of charge, J."""
+    """Reconcile the prediction of a dropout with the energy by the state of charge, J."""
 
     def keep(verdict: Verdict) -> Reconciled:
         return Reconciled(dropout, by_charge, 0.0, 0.0, verdict)

@@ -36,12 +36,12 @@ class Edges:
 
     Attributes:
         energy: J, shape (n,).
-        directions: independent errors about the car, one sigma each, J, shape (n, k): each has
-            the same sense on every edge.
-        own: variance of single edges, J^2, shape (n,).
+        directions: effect of k independent errors about the car, one sigma each, J, shape (n, k);
+            an error has the same sense on every edge.
+        own: variance of errors that edges do not share, J^2, shape (n,).
         uneven: 1-sigma of uneven speed by the driver's habit, J, shape (n,): also of the same
             sense on every edge.
-        trip: function that forecasts a trip over edges of these numbers, one or more, in order.
+        trip: forecasts a trip over the edges of these numbers, in order.
     """
 
     energy: np.ndarray
@@ -56,14 +56,14 @@ class Edges:
         return np.asarray(np.sqrt((self.directions**2).sum(1) + self.own + self.uneven**2))
 
     def route(self, edges: Sequence[int] | np.ndarray) -> Uncertain:
-        """Energy of a route, J, and its 1-sigma; edges: their numbers in the order driven."""
+        """Energy of a route, J, and its 1-sigma; edges: numbers in the order driven."""
         numbers = np.asarray(edges, dtype=int)
         return self.trip(numbers) if numbers.size else Uncertain(0.0, 0.0)
 
     def difference(
         self, one: Sequence[int] | np.ndarray, other: Sequence[int] | np.ndarray
     ) -> Uncertain:
-        """Energy that one route takes more than another, J, with the 1-sigma of that.
+        """Energy of one route less that of the other, J, and its 1-sigma.
 
         Errors that the routes share (common edges, the car) cancel.
         """
@@ -89,7 +89,7 @@ def edge_energies(
     Args:
         legs: of the network.
         model: of the car.
-        weather: on the way; tyres and cabin count as warm, except in routes.
+        weather: on the way; tyres and cabin are warm, except in routes.
         head_wind: against the car on every edge, m/s.
         steady: True if edges are driven evenly.
     """
@@ -137,9 +137,9 @@ def edge_energies(
 
 
 def _directions(rows: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Errors about the car that matter for these rows, one sigma each, shape (SIZE, k)."""
+    """Independent errors of the states that matter for these rows, 1-sigma, shape (SIZE, k)."""
     variance, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(variance, 0.0))
-    felt = rows @ root
-    size, turned = np.linalg.eigh(felt.T @ felt)
+    effects = rows @ root
+    size, turned = np.linalg.eigh(effects.T @ effects)
     return np.asarray(root @ turned[:, size > LEAST_SHARE * size.sum()])

@@ -1,11 +1,10 @@
-"""The energy that plans will take, and how sure that is.
+"""Forecasts the energy of plans, with its 1-sigma.
 
 `forecast` is for optimisers: many speed profiles at once, whole trips, numpy or torch.
 `forecast_plan` is for one plan, or a few, with energy and power at every point. Both take each leg
-as one step of the one equation (`energy.power_model`): kinetic and potential energy are exact
-whatever the leg. The variance of the energy of a trip is the sum of four: errors about the car and
-the drive, of the same sense all along; wandering loads; energy that no state explains; and unseen
-hills.
+as one step of the one equation (`energy.power_model`), so kinetic and potential energy are exact
+for legs of any length. The variance of a trip's energy is a sum: errors about the car and the
+drive, of the same sense all along; wandering loads; energy that no state explains; unseen hills.
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ from evpinn_ros.core.estimation.unevenness import UNEVEN_STATES, size_of, sizes_
 from evpinn_ros.core.signals.interval import Steps
 from evpinn_ros.core.vehicle.files import Vehicle
 
-# m in which a trip turns away from the present heading, and so from the measured wind
+# m in which a trip turns away from the present heading, and so from the measured head wind
 DIRECTION_LENGTH = 5e3
 UNKNOWN_END = PlanEnd(np.full(SIZE, math.nan), *(math.nan,) * 5)
-# Profiles, and roughly their points, that are computed together and fit into the cache.
+# Profiles, and about as many of their points, that are computed together and fit into the cache.
 TOGETHER, POINTS_TOGETHER = 64, 24_000
 
 
@@ -52,14 +51,14 @@ class Profiles(NamedTuple):
 
 
 class Energies(NamedTuple):
-    """Energy of each profile and its 1-sigma, J, shape (batch,), of the kind that came in."""
+    """Energy of each profile and its 1-sigma, J, shape (batch,), as arrays of the input's kind."""
 
     energy: Any
     sigma: Any
 
 
 class EnergyCurve(NamedTuple):
-    """Energy along a course, whatever points the plan has: arrays of shape (n,).
+    """Energy at the n points of a `Course`, which differ from the plan's: arrays of shape (n,).
 
     Attributes:
         time: s since the start.
@@ -80,12 +79,11 @@ class Forecast:
 
     Attributes:
         time: s.
-        energy: J since the first point; less than before where the car regenerates.
-        power: W at each point, with the acceleration and grade of the leg that follows (at the
-            last point: of the leg that ends there).
+        energy: J since the first point; it falls where the car regenerates.
+        power: mean of the leg that follows each point, W; at the last point, of the last leg.
         sigma: 1-sigma of energy, J.
         end: of the whole plan, for comparisons with others.
-        curve: energy along one plan.
+        curve: energy along a single plan, None for a batch.
     """
 
     time: np.ndarray
@@ -97,7 +95,7 @@ class Forecast:
 
     @property
     def on_curve(self) -> Forecast:
-        """The forecast at the points of its curve, which are those of the road, not of a plan."""
+        """The forecast at the points of its curve in place of the plan's."""
         if self.curve is None:
             return self
         time, _, energy, sigma = self.curve
@@ -110,9 +108,9 @@ class Air(NamedTuple):
     """The air outside; None where no recent value is known.
 
     Attributes:
-        celsius: temperature.
-        pascal: pressure.
-        head: wind against the car as it points now, m/s over ground.
+        celsius: temperature, degrees Celsius.
+        pascal: pressure, Pa.
+        head: wind against the car at its present heading, m/s over ground.
     """
 
     celsius: float | None = None
@@ -122,10 +120,10 @@ class Air(NamedTuple):
 
 UNKNOWN_AIR = Air()
 UNEVEN = "speeding up and braking between the points"
-# Share of the vehicle file's 1-sigma of a plan that is left, above which a note says so.
+# Share of the vehicle file's 1-sigma that is left for a plan, from which on a note says so.
 HARDLY_DRIVEN = 0.7
-EMPTY = 1e-6  # of the charge; less is rounding
-SHORT_OF_HEIGHTS = 0.01  # share of the way without heights from which on a note says so
+EMPTY = 1e-6  # state of charge; less is rounding
+SHORT_OF_HEIGHTS = 0.01  # share of the distance without heights, above which a note says so
 
 
 class PlanBasis(NamedTuple):
@@ -150,7 +148,7 @@ class PlanBasis(NamedTuple):
         Args:
             model: of the car.
             given: conditions that a planner expects.
-            air: measured, for what is not given.
+            air: measured, for conditions that are not given.
             density: of the air, kg/m^3; None: by its temperature and pressure.
         """
         celsius = air.celsius if given.temperature is None else given.temperature
@@ -173,9 +171,9 @@ class PlannedEnergy(NamedTuple):
         given: the plan as it was given.
         trip: its points.
         basis: the car and the conditions of the forecast.
-        energies: along it.
-        course: state of charge along the curve of these, 0..1, and its 1-sigma, shape (2, m); NaN
-            where unknown, 0 or less where the battery is empty.
+        energies: forecast of the plan.
+        course: state of charge along its curve, 0..1, and 1-sigma, shape (2, m); NaN where
+            unknown, 0 or less where the battery is empty.
         full: energy that the full battery gives at the mean power of the plan, J.
         gauge: state of charge and capacity.
     """
@@ -190,7 +188,7 @@ class PlannedEnergy(NamedTuple):
 
     @property
     def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Times of the points, s, and the values there by name with unit."""
+        """Times of the points, s, and columns of values there, named with their units."""
         trip, energies, charge = self.trip, self.energies, 100.0 * self.charge
         return energies.time, {
             "distance_m": trip.distance,
@@ -205,26 +203,26 @@ class PlannedEnergy(NamedTuple):
 
     @property
     def charge(self) -> np.ndarray:
-        """State of charge at each point of the trip, as `course` along it, shape (2, n)."""
+        """`course` at each of the n points of the trip, shape (2, n)."""
         times, curve = self.energies.time, self.energies.on_curve
         return np.stack([np.interp(times, curve.time, column) for column in self.course])
 
     @property
     def uneven(self) -> float:
-        """The part of its energy that uneven speed between its points takes, J."""
+        """Energy that uneven speed between the points takes, J."""
         energies, _ = plan_parts(self.given, self.energies, *self.basis)
         return float(energies[-1])
 
     @property
     def uneven_part(self) -> str | None:
-        """Sentence on that part; None if it rounds to 0.00."""
+        """Sentence on `uneven`; None if it rounds to 0.00 kWh."""
         part, whole = self.uneven / JOULES_PER_KWH, self.energies.energy[-1] / JOULES_PER_KWH
         if part < 0.005:
             return None
         return f"{part:.2f} of the {whole:.2f} kWh is for {UNEVEN}"
 
     def no_heights(self, units: Units = METRIC) -> str | None:
-        """Sentence on the part of the way without heights; None if all is known."""
+        """Sentence on the distance without heights; None if all are known."""
         unseen, whole = self.energies.end.unseen, float(np.ptp(self.trip.distance))
         if not unseen > SHORT_OF_HEIGHTS * whole:
             return None
@@ -238,7 +236,7 @@ class PlannedEnergy(NamedTuple):
 
     @property
     def beyond_driven(self) -> str | None:
-        """Sentence if earlier drives show little of such a plan; else, or before any, None."""
+        """Sentence if earlier drives taught little about such a plan, else None."""
         row, car = self.energies.end.row[LASTING], self.basis.model.car
         lasting = np.ix_(LASTING, LASTING)
         learned, file = (
@@ -260,7 +258,7 @@ class PlannedEnergy(NamedTuple):
         return self.used_up(0.0)
 
     def used_up(self, sigmas: float) -> float | None:
-        """Distance at which the charge plus a number of its sigmas is used up, m."""
+        """Distance at which the charge plus `sigmas` of its 1-sigma is used up, m, or None."""
         curve, charge = self.energies.curve, self.course[0] + sigmas * self.course[1]
         if curve is None or not (charge <= EMPTY).any():
             return None
@@ -270,7 +268,7 @@ class PlannedEnergy(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A variation of a trip: its name, the additional energy, J, and time, s."""
+    """A variation of a trip: its name, additional energy, J, and additional time, s."""
 
     words: str
     energy: Uncertain
@@ -286,14 +284,14 @@ def forecast(
 ) -> Energies:
     """Energy of many speed profiles, and its 1-sigma.
 
-    With torch the results have gradients by all three. Power has kinks between driving and
-    braking, and at the nodes of the network's table; the gradient is that of the pieces.
+    With torch, the results have gradients by time, speed and elevation. Power has kinks between
+    driving and braking, and at the nodes of the network's table: gradients are one-sided there.
 
     Args:
-        profiles: what might be driven.
+        profiles: candidates.
         vehicle: the car.
         model: the learned car, None for the vehicle file alone.
-        air_density: kg/m^3, None for that at the last temperature known to the car.
+        air_density: kg/m^3, None for that at the last temperature of the model.
 
     Raises:
         PlanError: shapes do not fit, time does not rise, speed is negative or a number not finite.
@@ -309,11 +307,11 @@ def forecast(
     batch = max(1, min(TOGETHER, POINTS_TOGETHER // speed.shape[1]))
     parts = []
     for begin in range(0, len(speed), batch):
-        some = (
-            profile if profile is None or profile.ndim == 1 else profile[begin : begin + batch]
-            for profile in profiles
+        columns = (
+            column if column is None or column.ndim == 1 else column[begin : begin + batch]
+            for column in profiles
         )
-        parts.append(_sums(Profiles(*some), model, density))
+        parts.append(_sums(Profiles(*columns), model, density))
     if not parts:
         return Energies(speed[:, 0], speed[:, 0])
     xp = namespace(speed)
@@ -337,7 +335,7 @@ def forecast_plan(
 ) -> Forecast:
     """Energy, power and 1-sigma along a plan.
 
-    It is that of the plan's course (`energy.course`), so redundant points and borders change
+    It is computed on the plan's course (`energy.course`), so redundant points and borders change
     nothing. On lines and legs longer than some seconds, uneven speed is expected as in this car's
     drives (`estimation.unevenness`), unless speeds are commanded.
 
@@ -346,22 +344,22 @@ def forecast_plan(
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.
-        wind_length: m within which it fades to a third. Most plans have no direction, so a
-            measured wind counts less and less along the way; a given one stays.
-        steady: True if speeds are commanded, False if expected; None: as the plan has it. Of legs
-            the mean speeds are then driven evenly.
+        wind_length: m within which the wind fades to 1/e. Most plans have no direction, so a
+            measured wind fades along the way; a given one stays.
+        steady: True if speeds are commanded (legs: driven evenly), False if expected; None: as
+            the plan has it.
         along: whether to compute sigma at every point of one trip; without it sigma may be NaN
-            except at the last point, in half the time.
+            except at the last point, which takes half the time.
 
     Raises:
         PlanError: the model gives no finite energy.
     """
     points = points_of(plan)
     if points.time.ndim > 1:
-        asked = model, weather, head_wind, wind_length, steady
+        basis = model, weather, head_wind, wind_length, steady
         columns = zip(*(getattr(points, name) for name in COLUMNS), strict=True)
         plans = [replace(points, **dict(zip(COLUMNS, trip, strict=True))) for trip in columns]
-        trips = [forecast_plan(points, *asked) for points in plans]
+        trips = [forecast_plan(points, *basis) for points in plans]
         time, energy, power, sigma = (
             np.stack([getattr(trip, name) for trip in trips])
             for name in ("time", "energy", "power", "sigma")
@@ -402,9 +400,10 @@ def forecast_plan(
 
 
 def _beyond(course: Course, model: PowerModel, *, steady: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Energy of each step beyond even speed, J per unit, and the size of it so far, J.
+    """Energy of each step beyond even speed, by state, and its size up to there.
 
-    Shapes (n, 3), by `UNEVEN_STATES`, and (n,), by `unevenness.size_of`.
+    Returns:
+        J per unit of `UNEVEN_STATES`, shape (n, 3); and `unevenness.size_of`, J, shape (n,).
     """
     car, runs = model.car, course.runs
     if steady:
@@ -432,11 +431,11 @@ def plan_parts(
 
     Args:
         plan: the trip.
-        forecast: its forecast, with the arguments that follow.
+        forecast: by `forecast_plan` with the arguments that follow, which are the same.
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.
-        wind_length: m within which it fades to a third.
+        wind_length: m within which the wind fades to 1/e.
         steady: True if its speeds are commanded.
     """
     course = course_of(plan, weather.air_density, head_wind, wind_length)
@@ -446,7 +445,7 @@ def plan_parts(
     car = model.car
     covariance = car.trust * (rows @ model.covariance @ rows.T)
     covariance[-1, -1] += (car.unevenness.share * forecast.end.uneven) ** 2
-    # No loss is negative, neither in the known whole nor beside it.
+    # No loss is negative, and the whole is kept.
     whole, exactly = np.zeros(COUNT), np.zeros(())
     whole[WHOLE] = 1.0
     energies = rows @ car.mean
@@ -457,12 +456,12 @@ def plan_parts(
 
 
 def is_steady(plan: Plan | Legs, steady: bool | None) -> bool:
-    """True if the speeds of a plan are commanded: as asked, else as it says."""
+    """True if the speeds of a plan are commanded: `steady`, or the plan's flag if that is None."""
     return plan.commanded if steady is None else steady
 
 
 def _sums(profiles: Profiles, model: PowerModel, density: float) -> tuple[Any, ...]:
-    """Sums over each profile: its row; s; s standing; integral of speed squared; m not seen."""
+    """Sums over each profile: row, s, s standing, integral of v^2, m^2/s, m without heights."""
     time, speed, elevation = profiles
     xp = namespace(speed)
     duration = xp.diff(time)

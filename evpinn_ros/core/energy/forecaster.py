@@ -1,4 +1,4 @@
-"""Answers plans with the newest knowledge of the car and its battery."""
+"""Answers plans by the newest model of the car and its battery."""
 
 from __future__ import annotations
 
@@ -29,16 +29,20 @@ MOST_POINTS_TOGETHER = 100_000  # of all plans that are kept for comparisons
 
 
 STALE_AFTER = Air(1800.0, 1800.0, WIND_STALE_AFTER)
-"""s since each was received, after which it counts as unknown."""
+"""Age of each value, s, after which it counts as unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanAnswer:
     """The forecast of a plan; state of charge, 0..1, and voltage, V or NaN, at its end.
 
-    `differences` is its energy less that of each plan asked together with it, by name, J.
-    `conditions` names the conditions that a planner gave; the others are the last known.
-    `assumed` has the conditions that the forecast used, by name, without unknown ones.
+    Attributes:
+        forecast: of the plan.
+        charge: state of charge at its end, 0..1.
+        voltage: at its end, V or NaN.
+        differences: its energy less that of each plan asked together with it, by name, J.
+        conditions: names of the conditions that a planner gave.
+        assumed: conditions that the forecast used, by name, without unknown ones.
     """
 
     forecast: Forecast
@@ -51,13 +55,13 @@ class PlanAnswer:
 
 @dataclass(slots=True)
 class PlanLog:
-    """Plans so far, and the outcome of the last.
+    """Counts of plans, and the outcome of the last.
 
     Attributes:
-        answered: how many were answered.
-        refused: how many were refused.
-        problem: why the last was refused, None when it was answered.
-        charge_after: state of charge, 0..1, at the end of the last that was answered.
+        answered: number of answered plans.
+        refused: number of refused plans.
+        problem: why the last plan was refused, None if it was answered.
+        charge_after: state of charge, 0..1, at the end of the last answered plan.
     """
 
     answered: int = 0
@@ -83,10 +87,10 @@ class Basis(str, Enum):
 
 
 class Forecaster:
-    """Holds what forecasts need.
+    """Holds the model of the car, air and conditions, and answers plans with them.
 
     Attributes:
-        basis: source of the car.
+        basis: source of the model.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -95,20 +99,20 @@ class Forecaster:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was received."""
+        """Return to the vehicle file, without air, conditions and plans."""
         self.basis = Basis.VEHICLE_FILE
         self._model = vehicle_model(self._vehicle)
-        self._air: dict[str, tuple[float, int]] = {}  # values, and when they were received, ns
+        self._air: dict[str, tuple[float, int]] = {}  # value and time of receipt, ns, by name
         self._conditions = UNSAID
         self._together: Hashable = None
         self._others: dict[str, tuple[Plan, PlanEnd]] = {}
         self._compared_with: object = None
 
     def set_identifiable(self, combined: Identifiable, sigmas: Identifiable) -> None:
-        """Take an estimate of the car and its 1-sigma; ignored once there is a model.
+        """Take identifiable combinations and their 1-sigma; ignored once there is a model.
 
         Raises:
-            ValueError: the car is impossible; the one before stays.
+            ValueError: the car is impossible; the model stays.
         """
         if self.basis is Basis.MODEL:
             return
@@ -126,17 +130,17 @@ class Forecaster:
     def set_air(
         self, reading: TemperatureReading | PressureReading | WindReading, now_ns: int
     ) -> None:
-        """Take a reading of the air, received now."""
+        """Take a reading of the air, received at `now_ns`."""
         for name in Air._fields:
             if hasattr(reading, name):
                 self._air[name] = getattr(reading, name), now_ns
 
     def set_conditions(self, conditions: PlanConditions) -> None:
-        """Take the conditions of all later plans, in place of earlier ones."""
+        """Replace the conditions of all later plans."""
         self._conditions = conditions
 
     def air(self, now_ns: int) -> Air:
-        """Air at this moment; a clock that goes back makes no value younger."""
+        """Values of the air that are not stale; a clock that goes back makes none younger."""
         fresh = {
             name: value
             for name, (value, received_ns) in self._air.items()
@@ -153,14 +157,14 @@ class Forecaster:
         battery: BatteryModel,
         asked: Question = UNNAMED,
     ) -> PlanAnswer:
-        """The energy a plan takes, and what it leaves in the battery.
+        """The energy of a plan, and the battery at its end.
 
         Args:
             plan: one trip.
             charge: state of charge now, 0..1.
             capacity: energy of the full battery, J.
             now_ns: by the clock of `set_air`.
-            battery: gives the end better than capacity, once enough was learned of it.
+            battery: predicts its end better than the capacity, once it has learned enough.
             asked: the question; conditions that it leaves out are those of `set_conditions`.
 
         Raises:
@@ -189,10 +193,10 @@ class Forecaster:
     def _compare(
         self, asked: Question, plan: Plan, end: PlanEnd, basis: PlanBasis
     ) -> dict[str, Uncertain]:
-        """Energy of a plan beyond those asked together with it, by their names, J."""
+        """Energy of a plan less that of each plan asked together with it, by name, J."""
         if asked.together is None or asked.together != self._together:
             self._together, self._others = asked.together, {}
-        if basis != self._compared_with:  # the others were answered with another car
+        if basis != self._compared_with:  # the others were answered on another basis
             self._compared_with = basis
             for name, (other, _) in self._others.items():
                 self._others[name] = other, forecast_plan(other, *basis, along=False).end

@@ -1,13 +1,13 @@
 """A hole: time with neither a battery reading nor a prediction from speed.
 
-The energy of a hole is not counted, but its sigma is, by the power of the last minutes: their mean
-may have gone on in every hole, so the energies of several holes add up; their spread counts as an
-error of power that decorrelates within seconds. A car that stood may have driven off, so some
-seconds of driving are added to those minutes; for a car without any battery reading they are all.
-The minutes before the battery fell silent count, otherwise sigma could shrink.
+The energy of a hole is not counted; its uncertainty is, from the power in the minutes before the
+battery fell silent. The mean of that power may have gone on in every hole, so errors of several
+holes add up; its spread counts as an error of power that decorrelates within seconds. A car that
+stood may have driven off, so some seconds of driving are added to those minutes; a car without any
+battery reading has these seconds alone.
 
-On 18 drives (12 of a BMW i3, 6 of the Changchun sedan) cut at random for 2 to 300 s, what was
-taken is 0.76 sigma as root mean square, 0.7 to 0.95 for each length, and 2 % are beyond 2 sigma.
+On 18 drives (12 of a BMW i3, 6 of the Changchun sedan) cut at random for 2 to 300 s, the energy of
+holes was 0.76 sigma as root mean square, 0.7 to 0.95 for each length; 2 % were beyond 2 sigma.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MEMORY = 180.0  # s of the power that counts
 FORGOTTEN = 5.0  # s, time constant of power in a hole
-DRIVING_S, DRIVING_POWER = 30.0, 15e3  # s and W, as root mean square, added to what is known
+DRIVING_S, DRIVING_POWER = 30.0, 15e3  # s of driving and root mean square W that are added
 LONGEST = 600.0  # s; after a longer absence the car may have been switched off
 
 Weight: TypeAlias = Annotated[float, Range(0.0, 2 * MEMORY)]
@@ -47,7 +47,7 @@ class RecentPower(NamedTuple):
 
 
 def recent_powers(before: np.ndarray, course: IntegralCourse) -> np.ndarray:
-    """Rows of `RecentPower` before and after each of n steps, the first is given; (n + 1, 3)."""
+    """Rows of `RecentPower` after 0 to n steps, from the row `before` them, shape (n + 1, 3)."""
     steps, begin, end = course.steps, course.begin, course.end
     known = steps * course.joined
     parts = known, known * (begin + end) / 2, known * (begin**2 + begin * end + end**2) / 3
@@ -63,12 +63,12 @@ def recent_powers(before: np.ndarray, course: IntegralCourse) -> np.ndarray:
 
 
 def taken_variance(recent: np.ndarray, seconds: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Variance about zero, J^2, that each of k holes adds to the total.
+    """Variance about zero, J^2, that each of k holes adds to the total, shape (k,).
 
     Args:
-        recent: a row of `RecentPower` for each, shape (k, 3).
-        seconds: their lengths, s, shape (k,).
-        before: of all holes before each, s, shape (k,).
+        recent: row of `RecentPower` before each, shape (k, 3).
+        seconds: length of each, s, shape (k,).
+        before: length of all holes before each, s, shape (k,).
     """
     known, energy, square = recent.T
     weight = known + DRIVING_S
@@ -81,5 +81,5 @@ def taken_variance(recent: np.ndarray, seconds: np.ndarray, before: np.ndarray) 
 
 
 def away_since(since_ns: int, first_ns: int) -> int:
-    """The moment since which nothing was counted, ns; 0 if there is no hole up to the first."""
+    """`since_ns`, where counting stopped, if a hole up to the first stamp follows; else 0."""
     return since_ns if 0 < first_ns - since_ns <= LONGEST * NANOSECONDS else 0

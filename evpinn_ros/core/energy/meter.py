@@ -2,11 +2,10 @@
 
 The measured integral stops during a battery dropout; the predicted ones go on from speed alone and
 bridge it. If speed drops out too, or the process was away for minutes, the energy of that time is
-unknown: it is not interpolated; the time is counted, and the energy that may have been taken is in
-sigma (`energy.hole`).
+unknown and not interpolated: the meter counts the time, and adds the energy that may have been
+taken to sigma (`energy.hole`).
 
-Power comes in blocks, of predictions and of measurements, in order of stamps; how they are cut
-changes nothing.
+Predictions and measurements come in blocks, in order of stamps; how they are cut changes nothing.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ Number: TypeAlias = Any  # or, of n states, an array of shape (n,)
 
 
 class Flow(NamedTuple):
-    """Energy since reset, J, its present power, W, and its 1-sigma, J; NaN where unknown."""
+    """Energy since reset, J, present power, W, and 1-sigma of the energy, J; NaN if unknown."""
 
     energy: Number
     power: Number
@@ -63,25 +62,25 @@ class Flow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class EnergyState:
-    """State of the meter at one moment, or at n of them. Drawn energy is positive.
+    """State of the meter at one moment, or at n moments. Drawn energy is positive.
 
     Attributes:
         stamp_ns: newest stamp counted, 0 before the first.
         measured: integral of measured power, sigma from the sensor's; power NaN while silent.
-        predicted: quadrature of predicted power; for sigma see `energy.uncertainty`. The part of
-            it that lasts is counted for the time the battery was silent.
+        predicted: quadrature of predicted power; its sigma (`energy.uncertainty`) includes the
+            lasting error of dropouts.
         rknn: the Runge-Kutta network on the same power; its power is the last step's mean.
-        regenerated: as positive J and W; of measured power, and of predicted power for the time
-            the battery was silent. Its sigma is that of the net energy.
-        consumed: net energy by the same rule, J: measured where possible, predicted elsewhere.
-            Where they join, one sample may count twice or not at all.
+        regenerated: as positive J and W; of measured power, in dropouts of predicted power. Its
+            sigma is that of the net energy.
+        consumed: net energy, J: measured, in dropouts predicted. At their borders one sample may
+            count twice or not at all.
         consumed_sigma: its 1-sigma, J.
         gaps: steps too long to integrate, of measured and predicted power together.
         dropped: samples dropped (out of order or not finite), of both together.
         unmeasured_s: time since reset without measured power, s.
-        unknown_s: the part of it without predicted power either, s: energy that was not counted,
+        unknown_s: the part of it without predicted power either, s; its energy is not counted,
             but is in `consumed_sigma`.
-        measuring: False while the state is `predicting`.
+        measuring: False during a battery dropout.
     """
 
     stamp_ns: Number
@@ -99,12 +98,12 @@ class EnergyState:
 
     def rows(self) -> Iterator[EnergyState]:
         """The n states one by one."""
-        contents = [getattr(self, name) for name in self.__slots__]
+        fields = [getattr(self, name) for name in self.__slots__]
         columns: list[Iterable[Any]] = [
-            map(Flow, *[part.tolist() for part in content])
-            if isinstance(content, Flow)
-            else content.tolist()
-            for content in contents
+            map(Flow, *[column.tolist() for column in values])
+            if isinstance(values, Flow)
+            else values.tolist()
+            for values in fields
         ]
         return starmap(EnergyState, zip(*columns, strict=True))
 
@@ -114,7 +113,7 @@ NO_STATES = EnergyState(NO_ROWS, *(Flow(NO_ROWS, NO_ROWS, NO_ROWS),) * 4, *(NO_R
 
 
 class Counts(NamedTuple):
-    """How many predictions and measurements of a block are counted, shape (k,) each."""
+    """Numbers of predictions and measurements of a block up to k moments, shape (k,) each."""
 
     predicted: np.ndarray
     measured: np.ndarray
@@ -125,7 +124,7 @@ class SavedMeter:
     """Integrals of a meter, their 1-sigma, J, and the present dropout; see `EnergyState`.
 
     Attributes:
-        until_ns: the moment up to which all is counted, 0 if later power does not continue it.
+        until_ns: stamp up to which energy is counted, 0 if later power does not continue it.
         recent: power measured in the last minutes.
     """
 
@@ -175,7 +174,7 @@ class PowerCourse(NamedTuple):
         return PowerCourse(stamp_ns, integral, newest_ns, power, variance)
 
     def net(self, counts: np.ndarray) -> np.ndarray:
-        """Drawn less regenerated energy after so many samples, J, shape (k,)."""
+        """Drawn less regenerated energy after k counts of samples, J, shape (k,)."""
         used = self.integral.used[counts]
         net: np.ndarray = self.integral.drawn[used] - self.integral.regenerated[used]
         return net
@@ -185,24 +184,24 @@ class PowerCourse(NamedTuple):
 class MeterCourse:
     """Totals of a meter along a block of n predictions and m measurements.
 
-    Rows of shape (n + 1, ...) are after 0 to n predictions, of (m + 1, ...) after 0 to m
-    measurements; `Counts` choose among both.
+    The rows of arrays of shape (n + 1, ...) are after 0 to n predictions, those of (m + 1, ...)
+    after 0 to m measurements; `Counts` index both.
 
     Attributes:
         predicted: course of predicted power, integrated by trapezoids.
         measured: course of measured power.
         rknn: predicted energy by the network, J, and its power, W, shape (n + 1, 2).
-        totals: predictions so far: columns of `Bridge` and the variance, shape (n + 1, 5).
-        told: last energy of a dropout by the estimator and its 1-sigma, J, shape (n + 1, 2).
+        totals: of predictions: columns of `Bridge` and the variance, shape (n + 1, 5).
+        told: energy of a dropout by the estimator, and its 1-sigma, J, shape (n + 1, 2).
         first_ns: stamp of the first prediction, 0 before any, shape (n + 1,).
-        used_ns: stamp of the last prediction that is used, shape (1,).
+        used_ns: stamp of the last prediction that was used, shape (1,).
         since_ns: stamp of the last battery reading, 0 before any, shape (m + 1,).
         heard: whether there was a battery reading, shape (m + 1,).
-        anchors: `totals` at that reading, shape (m + 1, 5).
-        recent: columns of `RecentPower`, as measured, shape (m + 1, 3).
-        dropouts: all that ended (`Bridge`, variances of energy and of what lasts, and their
-            seconds), shape (m + 1, 7).
-        ended: the dropouts that ended in this block.
+        anchors: `totals` at the last battery reading, shape (m + 1, 5).
+        recent: columns of `RecentPower` of measured power, shape (m + 1, 3).
+        dropouts: sums over ended dropouts: `Bridge`, variance of energy, its lasting part, and
+            seconds, shape (m + 1, 7).
+        ended: dropouts that ended in this block.
         dropped: samples dropped before the block.
     """
 
@@ -223,7 +222,7 @@ class MeterCourse:
 
     @property
     def end(self) -> Counts:
-        """All of the block."""
+        """Counts at the end of the block."""
         powers = self.predicted, self.measured
         return Counts(*(np.array([len(block.stamp_ns)]) for block in powers))
 
@@ -233,7 +232,7 @@ class MeterCourse:
         return Counts(*(block.stamp_ns.searchsorted(stamps) for block in powers))
 
     def up_to(self, stamps: np.ndarray) -> Counts:
-        """Counts of powers before stamps, ns, or at them, shape (k,)."""
+        """Counts of powers at or before stamps, ns, shape (k,)."""
         powers = self.predicted, self.measured
         return Counts(*(block.stamp_ns.searchsorted(stamps, side="right") for block in powers))
 
@@ -250,7 +249,7 @@ class MeterCourse:
         return np.where(since_ns == 0, 0, np.maximum(stamp_ns - since_ns, 0)) / NANOSECONDS
 
     def silent(self, at: Counts, seconds: np.ndarray) -> np.ndarray:
-        """True where the battery gave nothing within its timeout, for it was silent so long."""
+        """True where the battery, silent for these seconds, has dropped out, shape (k,)."""
         silent: np.ndarray = ~self.heard[at.measured]
         late = seconds > MAX_GAP
         if late.any():
@@ -263,14 +262,20 @@ class MeterCourse:
     def bridges(
         self, at: Counts, seconds: np.ndarray, until: np.ndarray, *, in_turn: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bridge since the last battery reading, its short 1-sigma and its 1-sigma, J.
+        """Bridges since the last battery reading, their 1-sigma without lasting errors, and whole.
 
-        `until` are the `totals` at their ends, shape (k, 5). `in_turn`: the k are dropouts that
-        followed each other.
-
-        From `LEAST_DROPOUT` on, the dropout energy of the estimator counts, before that the
-        integral of its powers. The integral also counts after a restart until the next battery
+        In a dropout longer than `LEAST_DROPOUT`, its energy by the estimator counts, before that
+        the integral of its powers. The integral also counts after a restart until the next battery
         reading, because a part of that dropout may have been counted before.
+
+        Args:
+            at: k counts.
+            seconds: since the last battery reading, shape (k,).
+            until: `totals` at the ends, shape (k, 5).
+            in_turn: True if the k are successive dropouts.
+
+        Returns:
+            Columns of `Bridge`, shape (k, 4), and both 1-sigma, J, shape (k,).
         """
         anchors, told = self.anchors[at.measured], self.told[at.predicted]
         bridge = until[:, :4] - anchors[:, :4]
@@ -290,7 +295,7 @@ class MeterCourse:
         return bridge, short, np.hypot(np.where(is_told, told[:, 1], lasting), np.sqrt(hole))
 
     def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of all dropouts with the present one, and whether there is one; (k, 7), (k,)."""
+        """`dropouts` with the present one, shape (k, 7), and whether there is one, shape (k,)."""
         seconds = self.silent_s(at, self.newest(at))
         silent, dropouts = self.silent(at, seconds), self.dropouts[at.measured]
         open_step = silent | (seconds > MAX_GAP)
@@ -303,7 +308,7 @@ class MeterCourse:
         return dropouts + np.where(open_step[:, None], present, 0.0), silent
 
     def counted_until(self, at: Counts) -> np.ndarray:
-        """The moments up to which `consumed` counts, ns, shape (k,)."""
+        """Stamps up to which `consumed` counts energy, ns, shape (k,)."""
         newest_ns = self.newest(at)
         seconds = self.silent_s(at, newest_ns)
         bridged = self.silent(at, seconds) | (seconds > MAX_GAP)
@@ -318,7 +323,7 @@ class MeterCourse:
         return energy, self.measured.variance[at.measured] + now[:, 4], now[:, 6]
 
     def states(self, at: Counts) -> EnergyState:
-        """States after the counted powers."""
+        """States after k counts of powers."""
         now, silent = self.until_now(at)
         predicted_power = self.predicted.power[at.predicted]
         measured_power = self.measured.power[at.measured]
@@ -370,8 +375,7 @@ class EnergyMeter(Saveable[SavedMeter]):
 
         Args:
             rknn: the Runge-Kutta network.
-            integrator: of predicted power where it stands in for the battery; both integrals of
-                it are in the state.
+            integrator: of predicted power in dropouts; the state has both integrals.
             max_gap: longest step of predicted power that is integrated, s.
 
         Raises:
@@ -426,25 +430,27 @@ class EnergyMeter(Saveable[SavedMeter]):
         )
 
     def add(self, predicted: PowerRows, measured: PowerRows) -> MeterCourse:
-        """Take the powers that follow.
+        """Add the powers that follow; returns the course of this block.
 
         Measurements of a time that predictions have bridged are dropped, or it would count twice.
         """
         last = _joined_to_before(self.course, predicted, measured)
         late = measured.stamp_ns <= last.counted_until(last.end)
         dropped = self._predicted.dropped + self._measured.dropped
-        ours = self._predicted.extend(predicted.stamp_ns, predicted.power)
-        theirs = self._measured.extend(measured.stamp_ns, np.where(late, math.nan, measured.power))
-        variance = _variances(self._errors[0], ours, predicted.sigma)
-        predictions = last.predicted.then(predicted.stamp_ns, ours, variance)
-        variance = _variances(self._errors[1], theirs, measured.sigma, sampled)
-        measurements = last.measured.then(measured.stamp_ns, theirs, variance)
-        rknn = self._by_network(ours, last.rknn[-1])[ours.used]
+        predicts = self._predicted.extend(predicted.stamp_ns, predicted.power)
+        measures = self._measured.extend(
+            measured.stamp_ns, np.where(late, math.nan, measured.power)
+        )
+        variance = _variances(self._errors[0], predicts, predicted.sigma)
+        predictions = last.predicted.then(predicted.stamp_ns, predicts, variance)
+        variance = _variances(self._errors[1], measures, measured.sigma, sampled)
+        measurements = last.measured.then(measured.stamp_ns, measures, variance)
+        rknn = self._by_network(predicts, last.rknn[-1])[predicts.used]
         totals = self._totals(predictions, rknn)
-        used_ns = np.append(last.used_ns, ours.stamps)
-        series = np.concatenate((last.totals[-1:], totals[ours.places + 1]))
-        anchors = np.concatenate((last.anchors[-1:], _at(theirs.stamps, used_ns, series)))
-        since_ns = np.concatenate((last.since_ns[-1:], theirs.stamps))
+        used_ns = np.append(last.used_ns, predicts.stamps)
+        series = np.concatenate((last.totals[-1:], totals[predicts.places + 1]))
+        anchors = np.concatenate((last.anchors[-1:], _at(measures.stamps, used_ns, series)))
+        since_ns = np.concatenate((last.since_ns[-1:], measures.stamps))
         first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())  # 0 without any
         told = np.stack((predicted.energy, predicted.energy_sigma), axis=-1)
         course = MeterCourse(
@@ -455,17 +461,17 @@ class EnergyMeter(Saveable[SavedMeter]):
             told=np.concatenate((last.told[-1:], told)),
             first_ns=np.repeat((last.first_ns[-1], first_ns), (1, len(predicted.stamp_ns))),
             used_ns=used_ns[-1:],
-            since_ns=since_ns[theirs.used],
-            heard=last.heard[-1] | (theirs.used > 0),
-            anchors=anchors[theirs.used],
-            recent=recent_powers(last.recent[-1], theirs)[theirs.used],
+            since_ns=since_ns[measures.used],
+            heard=last.heard[-1] | (measures.used > 0),
+            anchors=anchors[measures.used],
+            recent=recent_powers(last.recent[-1], measures)[measures.used],
             dropouts=np.repeat(last.dropouts[-1:], len(measured.stamp_ns) + 1, axis=0),
             ended=(),
             dropped=dropped,
         )
-        ends = (~theirs.joined).nonzero()[0]  # a measurement after a gap ends a dropout
-        stamps = theirs.stamps[ends]
-        at = Counts(predicted.stamp_ns.searchsorted(stamps), theirs.places[ends])
+        ends = (~measures.joined).nonzero()[0]  # a measurement after a gap ends a dropout
+        stamps = measures.stamps[ends]
+        at = Counts(predicted.stamp_ns.searchsorted(stamps), measures.places[ends])
         self.course = _with_ended(course, at, stamps)
         return self.course
 
@@ -479,7 +485,7 @@ class EnergyMeter(Saveable[SavedMeter]):
         return np.stack(rows, axis=-1)
 
     def _by_network(self, course: IntegralCourse, last: np.ndarray) -> np.ndarray:
-        """Energy by the network after each sample used, and its last mean power, J and W."""
+        """Energy by the network, J, and its last mean power, W, after 0 to n used samples."""
         energies = np.zeros(len(course.steps))
         joined = course.joined.nonzero()[0]
         for batch in np.split(joined, range(BATCH, len(joined), BATCH)) if len(joined) else ():
@@ -517,7 +523,7 @@ class EnergyMeter(Saveable[SavedMeter]):
 def _joined_to_before(
     course: MeterCourse, predicted: PowerRows, measured: PowerRows
 ) -> MeterCourse:
-    """The course before a block, cut off if saved too long before its first stamp."""
+    """The course before a block; without `since_ns` if it was saved too long before the block."""
     firsts = np.concatenate((predicted.stamp_ns[:1], measured.stamp_ns[:1]))
     begun = course.heard[-1] or course.first_ns[-1] or not course.since_ns[-1]
     if begun or not len(firsts):
@@ -532,9 +538,9 @@ def _variances(
     sigmas: np.ndarray,
     besides: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Variance of an integral after each sample of a block, J^2, shape (n + 1,).
+    """Variance of an integral after 0 to n samples of a block, J^2, shape (n + 1,).
 
-    `besides` gives what is added for steps, s, and rises of power, W.
+    `besides` gives the variance to add for steps, s, and rises of power, W.
     """
     joined, steps = course.joined, course.steps[course.joined]
     used, rises = sigmas[course.places][joined], (course.end - course.begin)[joined]
@@ -544,7 +550,7 @@ def _variances(
 
 
 def _at(stamps: np.ndarray, series_ns: np.ndarray, series: np.ndarray) -> np.ndarray:
-    """A series at stamps, linear between its rows; its ends hold beyond them."""
+    """Rows of a series at stamps, linear between its stamps, constant beyond its ends."""
     after = series_ns.searchsorted(stamps, side="right")
     rows: np.ndarray = series[np.maximum(after - 1, 0)]
     inside = np.flatnonzero((after > 0) & (after < len(series_ns)))

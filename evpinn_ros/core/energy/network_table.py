@@ -31,10 +31,10 @@ def table_of(network: Network) -> np.ndarray:
 
 
 def units_of(network: Network, wheels: Wheels) -> Iterator[tuple[slice, np.ndarray]]:
-    """Units of the network in n steps, a block at a time: which steps, and shape (UNITS, block).
+    """Yields (slice of the n steps, units of the network there, shape (UNITS, block)).
 
     As in `Network.force`, but in single precision, which takes a third of the time: the error of a
-    unit is 1e-6 at most, that of the network's energy some 1e-7 of it.
+    unit is 1e-6 at most, that of the network's energy about 1e-7 of it.
     """
     slopes = network.inner / (SPEED_SCALE, FORCE_SCALE)
     weights = np.column_stack((slopes, network.bias - SPEED_CENTRE * slopes[:, 0]))
@@ -62,7 +62,7 @@ class Places(NamedTuple):
     stronger: Any
 
     def shares(self, way: Any) -> Iterator[tuple[int, int, Any]]:
-        """Metres of steps at the four nodes around: shift of speed and force, metres there."""
+        """Yields (shift of speed, shift of force, metres of each step) for the four nodes."""
         faster, stronger = way * self.faster, way * self.stronger
         both = faster * self.stronger
         yield 0, 0, way - stronger - faster + both
@@ -72,7 +72,7 @@ class Places(NamedTuple):
 
 
 def places_of(wheels: Wheels) -> Places:
-    """Places of steps on the grid; beyond its ends those of the ends."""
+    """Places of steps on the grid, clipped to its ends."""
     floor = namespace(wheels.speed).floor
     speed, force = wheels.speed, wheels.force - float(GRID_FORCE[0])
     x, y = (
@@ -86,8 +86,8 @@ def places_of(wheels: Wheels) -> Places:
 def looked_up(wheels: Wheels, distance: Any, table: np.ndarray) -> Any:
     """Energy of the network before the share of the terms is subtracted, (batch, NETWORK).
 
-    Steps are spread over the four nodes around them by weights, so a trip is one row of weights:
-    over that part of the grid where any of them drives.
+    Each step is spread over the four nodes around it, so a trip is one row of weights, over the
+    part of the grid where any trip drives.
     """
     batch, places = len(distance), places_of(wheels)
     (i, slow), (j, weak) = ((axis, int(axis.min())) for axis in places[:2])

@@ -1,7 +1,7 @@
 """Plan along the points of a path: by their stamps, or as a gentle driver would take the path.
 
-Without stamps the car starts at its present speed, ends at rest, keeps to a nominal speed, brakes
-for bends and accelerates again, with limits that are comfortable.
+Without stamps the car starts at its present speed, ends at rest, keeps to a nominal speed, and
+brakes and accelerates comfortably around bends.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ NOMINAL_SPEED = 50 / 3.6  # m/s, where a path has no usable stamps
 COMFORT_ACCELERATION = 1.0  # m/s^2, gentle for a person standing in a bus as well
 COMFORT_LATERAL = 2.0  # m/s^2, what drivers take in a bend without hurry
 SLOWEST = 1.0  # m/s through the sharpest bend
-BEND = 10.0  # m before and after a point, over which the bend of the path is taken
+BEND = 10.0  # m before and after a point, between which the curvature is computed
 # Longest steps of a nominal profile, m and s; points are added to a sparser path.
 NOMINAL_STEP, NOMINAL_SECONDS = 25.0, 2.0
 TINY = 1e-6  # m^2/s^2
-ON_A_LINE = 1e-6  # m from the line between its neighbours; less is rounding
+ON_A_LINE = 1e-6  # m; a point closer to the line between its neighbours lies on it
 
 
 def plan_from_path(
@@ -57,7 +57,7 @@ def plan_from_path(
         z: m, elevation.
         stamps: s, or None.
         nominal_speed: m/s.
-        start_speed: m/s, from which it also brakes comfortably.
+        start_speed: m/s; if too fast for the path, the car brakes comfortably from it.
 
     Raises:
         PlanError: the points are not a trip.
@@ -88,11 +88,11 @@ def plan_from_path(
 def _stamped_plan(time: np.ndarray, distance: np.ndarray, elevation: np.ndarray) -> Plan:
     """The plan of points with stamps, s, and distances, m, neither of which falls.
 
-    A point amid a stretch of one mean speed and slope changes nothing: it moves to where the car
-    is then.
+    A point within a stretch of one mean speed and slope changes nothing: it moves to where the car
+    is at its stamp.
     """
-    told = _telling(time, distance, elevation)
-    knots, along = time[told], distance[told]
+    corners = _telling(time, distance, elevation)
+    knots, along = time[corners], distance[corners]
     slopes = np.clip(monotone_slopes(knots, along), 0.0, MAX_SPEED)
     speed = np.interp(time, knots, slopes)
     stretch = np.clip(np.searchsorted(knots, time, "right") - 1, 0, len(knots) - 2)
@@ -101,23 +101,23 @@ def _stamped_plan(time: np.ndarray, distance: np.ndarray, elevation: np.ndarray)
     even = (time - knots[stretch]) / np.diff(knots)[stretch]
     share = np.divide(driven, whole[stretch], out=even, where=whole[stretch] > 0.0)
     way = along[stretch] + share * np.diff(along)[stretch]
-    rise = elevation[told][stretch] + share * np.diff(elevation[told])[stretch]
+    rise = elevation[corners][stretch] + share * np.diff(elevation[corners])[stretch]
     distance, elevation = (
-        np.where(told, given, moved) for given, moved in ((distance, way), (elevation, rise))
+        np.where(corners, given, moved) for given, moved in ((distance, way), (elevation, rise))
     )
     return Plan(time, distance, speed, elevation)
 
 
 def _telling(along: np.ndarray, *columns: np.ndarray) -> np.ndarray:
-    """True for points off the straight line, by `along`, between others, shape (n,)."""
+    """True for points off the lines between others, over `along`, shape (n,)."""
     return telling(len(along), *(beside_line(along, column, ON_A_LINE) for column in columns))
 
 
 def monotone_slopes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Slopes at the points, shape (n,), of the monotone cubic through y that never falls.
 
-    Fritsch and Butland (1984): zero beside a stretch where y rests, else a harmonic mean. As
-    `scipy.interpolate.PchipInterpolator`, which takes a third of all that the nodes load.
+    Fritsch and Butland (1984): zero beside a stretch where y is constant, else a harmonic mean.
+    As `scipy.interpolate.PchipInterpolator`, whose import would be a third of all that nodes load.
     """
     step = np.diff(x)
     slope = np.diff(y) / step
@@ -156,12 +156,12 @@ def _nominal_plan(
     gained = 2 * COMFORT_ACCELERATION * s
     squared = np.maximum(squared, start_speed**2 - gained)
     squared[[0, -1]] = start_speed**2, 0.0
-    # As fast as braking for later limits and accelerating from earlier ones allow.
+    # The fastest profile that brakes for later limits and accelerates from earlier ones.
     squared = np.minimum.accumulate(squared - gained) + gained
     squared = np.minimum.accumulate((squared + gained)[::-1])[::-1] - gained
     squared[1:-1] = np.maximum(squared[1:-1], TINY)  # against rounding on long paths
-    every = np.unique(np.concatenate((s, distance.round(6).clip(0.0, s[-1]))))
-    s, squared = every, np.interp(every, s, squared)
+    with_path = np.unique(np.concatenate((s, distance.round(6).clip(0.0, s[-1]))))
+    s, squared = with_path, np.interp(with_path, s, squared)
     speed = np.sqrt(np.maximum(squared, 0.0))
     time = sums(2 * np.diff(s) / (speed[1:] + speed[:-1]))
     return Plan(time, s, speed, np.interp(s, distance, points["z"]))
@@ -170,7 +170,7 @@ def _nominal_plan(
 def _bend_speed(s: np.ndarray, distance: np.ndarray, points: dict[str, np.ndarray]) -> np.ndarray:
     """Comfortable speed at distances `s`, m/s, from the circle through the path around each.
 
-    Three points `BEND` apart: closer, the noise of a map would be bends.
+    The circle is through three points `BEND` apart: with less, noise of a map would be bends.
     """
     before, here, after = (
         np.stack([np.interp(s + away, distance, points[axis]) for axis in "xy"], axis=-1)

@@ -1,7 +1,7 @@
-"""Plan of a planner: points along one trip or many, or legs of a trip, and its conditions.
+"""Plans: points along one trip or many, or legs of a trip, with their conditions.
 
-Between two points, distance is the cubic with the given speeds at its ends, so that it agrees with
-length, climb and speeds at once. Of a leg only length and duration are known.
+Between two points, distance is the cubic in time with the given speeds at its ends, so that it
+agrees with length and speeds at once. A leg has length, duration and perhaps climb, no speeds.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ MAX_SPEED = 100.0  # m/s; a faster plan is refused
 MAX_POINTS = 50_000  # of one trip: more than an hour at 10 Hz, or 1000 km in steps of 20 m
 LONGEST = 14 * 86_400.0  # s from the first point to the last; more is not one trip
 UNITS_APART = 3.0  # speeds in km/h make 3.6 times the distance, one in km a thousandth of it
-LEAST_LENGTH = 50.0  # m of a profile from which on that is checked
+LEAST_LENGTH = 50.0  # m; shorter profiles are checked as if this long
 SLOWEST_TRIP = 0.1  # m/s while moving; slower plans have their lengths in km
-CLIMB_TOLERANCE = 1e-6  # m, by which rounding may make a climb exceed its length
+CLIMB_TOLERANCE = 1e-6  # m by which a climb may exceed its length, from rounding
 CONDITION_RANGES = {
     "temperature": (-60.0, 60.0),  # degrees Celsius
     "heating": (0.0, 20e3),  # W, more than the heaters of any car
@@ -35,13 +35,13 @@ CONDITION_RANGES = {
     "steady": (0.0, 1.0),
 }
 COLUMNS = ("time", "distance", "speed", "elevation")
-ROUNDS = 40  # of finding corners; what is missed then is kept, so that no curve takes long
+ROUNDS = 40  # of finding corners; then all points that are left are kept, to bound the time
 Measure: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""How far the points of these numbers lie from the line between two others, in tolerances."""
+"""Distance of points from the line between two others, in tolerances, by the indices of all."""
 
 
 class PlanError(InputError):
-    """A plan cannot be driven; the text is the reason in one line."""
+    """A plan cannot be driven; the text gives the reason in one line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,11 +55,10 @@ class Plan:
         elevation: same shape, m.
         commanded: True if a controller follows the plan, so that speed is a straight line between
             any two points; otherwise uneven speed between them is expected.
-        level: True if a constant elevation says that the road is level; otherwise it says that the
-            heights are not known.
+        level: True if a constant elevation means a level road, False if it means unknown heights.
 
     Raises:
-        PlanError: the arrays are no trip.
+        PlanError: the arrays are not a trip.
     """
 
     time: np.ndarray
@@ -83,7 +82,7 @@ class Plan:
         refuse(climbs, "climbs more than it travels", after=1)
 
     def quicker(self, factor: float) -> Plan:
-        """Plan along this road with all speeds times a factor; stops last as long.
+        """The plan with all speeds times a factor; stops last as long.
 
         Raises:
             PlanError: that is too fast.
@@ -104,11 +103,11 @@ class Legs:
         duration: s, above 0.
         climb: m from its start to its end; 0 where unknown.
         height_known: True where `climb` is known.
-        commanded: as of a `Plan`.
+        commanded: as in `Plan`.
         onward: True if the road goes on, so that the car does not stop at its end.
 
     Raises:
-        PlanError: the arrays are no legs.
+        PlanError: the arrays are not legs.
     """
 
     length: np.ndarray
@@ -133,7 +132,7 @@ class Legs:
                 "leg")  # fmt: skip
 
     def quicker(self, factor: float) -> Legs:
-        """Legs of this road with all speeds times a factor; stops last as long.
+        """The legs with all speeds times a factor; stops last as long.
 
         Raises:
             PlanError: that is too fast.
@@ -154,8 +153,8 @@ class PlanConditions:
         charge: state of charge at the start, 0..1.
         stood: time that the car stands before the trip, s, in which tyres and cabin cool.
         prewarmed: share of the cabin's warmth that the charger gave before the start.
-        steady: 1 to take its speeds as commanded, 0 as expected (`Plan.commanded`); None: as the
-            plan is.
+        steady: 1 if speeds are commanded, 0 if expected (`Plan.commanded`); None: as the plan has
+            it.
 
     Raises:
         PlanError: a number is impossible.
@@ -180,7 +179,7 @@ class PlanConditions:
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Names of those that are given."""
+        """Names of the conditions that are not None."""
         return tuple(name for name in CONDITION_RANGES if getattr(self, name) is not None)
 
     def or_else(self, others: PlanConditions) -> PlanConditions:
@@ -188,7 +187,7 @@ class PlanConditions:
         return replace(others, **{name: getattr(self, name) for name in self.given})
 
     def charge_from(self, measured: Uncertain) -> Uncertain:
-        """State of charge at the start, 0..1: as given, else measured."""
+        """State of charge at the start, 0..1: the given one, else `measured`."""
         if self.charge is None:
             return measured
         return Uncertain(self.charge, FIRST_STEP / math.sqrt(12.0))  # rounded as on a display
@@ -204,7 +203,7 @@ class Question(NamedTuple):
         name: of the plan.
         together: key of the plans that are asked together, or None.
         conditions: of this plan, completed by those of all plans.
-        along: whether to compute sigma at each of its points, not only at the last.
+        along: whether to compute sigma at each point, not only at the last.
     """
 
     name: str
@@ -224,23 +223,24 @@ def plan_from_speed_profile(
 ) -> Plan:
     """A plan from a speed profile: time, s, distance, m, and speed, m/s, each of shape (n,).
 
-    Without distance it follows from the speeds; without elevation, m, heights are not known. Time
-    and distance are counted from the first point.
+    Distance defaults to the integral of speed; without elevation, m, heights are unknown. Time and
+    distance count from the first point.
 
     Raises:
-        PlanError: the profile is invalid, or its speeds make `UNITS_APART` times its distance.
+        PlanError: the profile is invalid, or the integral of its speeds is more than `UNITS_APART`
+            times its distance.
     """
     check_size(len(time))
     time, speed = as_floats(time), as_floats(speed)
     check_arrays({"time": time, "speed": speed})
-    made = travelled(time, speed)
-    distance = made if distance is None else as_floats(distance)
+    driven = travelled(time, speed)
+    distance = driven if distance is None else as_floats(distance)
     height = np.zeros_like(time) if elevation is None else as_floats(elevation)
     if distance.shape == time.shape and (np.diff(time) > 0).all():
         length = float(distance[-1] - distance[0])
-        if made[-1] > UNITS_APART * max(length, LEAST_LENGTH):
+        if driven[-1] > UNITS_APART * max(length, LEAST_LENGTH):
             raise PlanError(
-                f"its speeds make {made[-1]:.0f} m, its distance is {length:.0f} m; both in SI "
+                f"its speeds make {driven[-1]:.0f} m, its distance is {length:.0f} m; both in SI "
                 "units?"
             )
     level = elevation is not None
@@ -248,28 +248,28 @@ def plan_from_speed_profile(
 
 
 def travelled(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Distance, m, since the first of n times, s, with speeds, m/s; shape (n,)."""
+    """Distance since the first of n times, s, by speeds, m/s, linear between: m, shape (n,)."""
     return sums(np.diff(time) * (speed[1:] + speed[:-1]) / 2)
 
 
 def sums(steps: np.ndarray) -> np.ndarray:
-    """Sums of n steps up to each of n + 1 points, the first 0."""
+    """Cumulative sums of n steps from 0, shape (n + 1,)."""
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 def telling(count: int, *measures: Measure) -> np.ndarray:
-    """True for points of a curve that the lines between the others do not pass, shape (count,).
+    """True for the corners of a curve of `count` points: those off the lines between the others.
 
-    Of points that a line misses, the farthest by the first measure that says so is one of them:
-    where all measures before it fit, each is largest at a corner.
+    While a line misses points, the farthest of them becomes a corner, by one measure after
+    another: where all measures before it fit, each is largest at a corner.
     """
     number = np.arange(count)
-    told = np.ones(count, bool)
+    corner = np.ones(count, bool)
     here, start, end = number[1:-1], number[:-2], number[2:]
-    told[1:-1] = np.any([away(here, start, end) > 1.0 for away in measures], axis=0)
+    corner[1:-1] = np.any([away(here, start, end) > 1.0 for away in measures], axis=0)
     for away in measures:
         for attempt in range(ROUNDS):  # a line over many points may miss some of them
-            kept, others = np.flatnonzero(told), np.flatnonzero(~told)
+            kept, others = np.flatnonzero(corner), np.flatnonzero(~corner)
             line = np.searchsorted(kept, others)
             far = away(others, kept[line - 1], kept[line])
             missed = np.flatnonzero(far > 1.0)
@@ -278,12 +278,12 @@ def telling(count: int, *measures: Measure) -> np.ndarray:
             if attempt < ROUNDS - 1:
                 missed = missed[np.lexsort((-far[missed], line[missed]))]
                 missed = missed[np.unique(line[missed], return_index=True)[1]]
-            told[others[missed]] = True
-    return told
+            corner[others[missed]] = True
+    return corner
 
 
 def beside_line(along: np.ndarray, column: np.ndarray, tolerance: np.ndarray | float) -> Measure:
-    """Distance of a column of points from the line between two others, by where they are along."""
+    """The `Measure` of a column over `along`: distance from a line over its tolerance."""
     allowed = np.broadcast_to(tolerance, along.shape)
 
     def away(here: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -296,12 +296,12 @@ def beside_line(along: np.ndarray, column: np.ndarray, tolerance: np.ndarray | f
 
 
 def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None) -> Legs:
-    """Legs that need not be consecutive: arrays of shape (n,), m and s.
+    """Legs that need not be consecutive: lengths, m, durations, s, and climbs, m, shape (n,).
 
-    NaN in `climb` is an unknown height.
+    A climb of NaN is unknown.
 
     Raises:
-        PlanError: the arrays are no legs.
+        PlanError: the arrays are not legs.
     """
     length, duration = as_floats(length), as_floats(duration)
     climb = np.full(length.shape, np.nan) if climb is None else as_floats(climb)
@@ -312,7 +312,7 @@ def legs_of(length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None =
 def legs_of_trip(
     length: np.ndarray, duration: np.ndarray, climb: np.ndarray | None = None
 ) -> Legs:
-    """The legs of one trip, in order, from what `legs_of` takes.
+    """The legs of one trip, in order; arguments as in `legs_of`.
 
     Raises:
         PlanError: the legs are not a trip, or so slow that their lengths are in km.
@@ -330,7 +330,7 @@ def legs_of_trip(
 
 
 def points_of(plan: Plan | Legs) -> Plan:
-    """Points of a plan; at the ends of legs, in order, with the mean of the speeds about each."""
+    """Points of a plan; those of legs are their ends, at the mean speed of both neighbours."""
     if isinstance(plan, Plan):
         return plan
     mean = np.concatenate(([0.0], plan.length / plan.duration, [0.0]))
@@ -363,9 +363,9 @@ def check_arrays(named: dict[str, np.ndarray]) -> None:
 
 
 def refuse(wrong: np.ndarray, reason: str, what: str = "point", *, after: int = 0) -> None:
-    """Refuse a plan if any element is wrong; the error names the first place, counted from 1.
+    """Raise a PlanError if any element is wrong; it names the first place, counted from 1.
 
-    `after`: 1 if the elements are between points; then the second of both is named.
+    `after`: 1 if the elements are between points; the error then names the second of both.
     """
     if wrong.any():
         *trip, place = (1 + np.argwhere(wrong)[0]).tolist()

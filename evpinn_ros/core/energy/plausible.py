@@ -29,7 +29,7 @@ from evpinn_ros.core.signals.admission import MAX_POWER
 MOST_DISTANCE = 1e10  # m
 MOST_ENERGY = 1e14  # J
 MOST_SECONDS = 1e15  # s; large, because a leaping stamp may give decades of dropout
-# Of a file, in these units.
+# Types of saved values.
 Joules: TypeAlias = Annotated[float, Range(-MOST_ENERGY, MOST_ENERGY)]
 Sigma: TypeAlias = Annotated[float, Range(0.0, MOST_ENERGY, unknown=True)]
 Metres: TypeAlias = Annotated[float, Range(0.0, MOST_DISTANCE)]

@@ -1,8 +1,7 @@
-"""The car for plans: the one equation (`estimation.terms`) over steps of a plan.
+"""The model of a car for plans: the one equation (`estimation.terms`) over steps of a plan.
 
-A plan is a series of steps, and its energy is the same terms times the same states that are
-learned from intervals of driving. So the forecast of a driven speed equals its replay without the
-battery.
+The energy of a plan's steps is the same terms times the same states that are learned from
+intervals of driving. So the forecast of a driven speed equals its replay without the battery.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.core.vehicle.identifiable import Identifiable
 
 SAME_LENGTH = 1.0  # m by which plans along one road may differ in length
-CLIMATE_SHARE = 0.4  # relative 1-sigma of the likely heating or cooling of a drive (e-208)
-CLIMATE_SHOWN = 300.0  # s of a drive after which a third of that is left
+CLIMATE_SHARE = 0.4  # relative 1-sigma of the expected heating or cooling of a drive (e-208)
+CLIMATE_SHOWN = 300.0  # s of a drive after which 1/e of that is left
 LEAST_TRUST = 1e-3  # least factor that can be learned
 
 
@@ -52,10 +51,10 @@ class Weather(NamedTuple):
 
     Attributes:
         air_density: kg/m^3.
-        celsius: temperature outside; None: the last that the car knew.
-        heating: power of heating and air conditioning, W; None: by the temperature and by this
-            drive so far.
-        start: coldness of tyres and cabin when the plan begins. None: as the car is now.
+        celsius: temperature outside, degrees Celsius; None: the last one known to the car.
+        heating: power of heating and air conditioning, W; None: expected from the temperature and
+            this drive so far.
+        start: coldness of tyres and cabin when the plan begins; None: as the car is now.
     """
 
     air_density: float
@@ -65,15 +64,15 @@ class Weather(NamedTuple):
 
 
 class PlanEnd(NamedTuple):
-    """A plan at its end, to be compared with others.
+    """Sums over a whole plan, to compare it with others.
 
     Attributes:
         row: energy by each state, J per unit, shape (SIZE,).
         elapsed: s.
         distance: m.
-        noise: variance of what no state explains, J^2.
+        noise: variance of energy that no state explains, J^2.
         unseen: m of road whose height is not known.
-        uneven: size of the energy expected of uneven speed, J, leg by leg.
+        uneven: size of the expected energy of uneven speed (`unevenness.size_of`), J.
     """
 
     row: np.ndarray
@@ -89,7 +88,7 @@ class PowerModel:
     """A car, ready for forecasts.
 
     Attributes:
-        car: what is known of it.
+        car: its equation and states.
     """
 
     car: CarModel
@@ -107,12 +106,12 @@ class PowerModel:
     def edge_rows(
         self, edges: Steps, weather: Weather, warmth: Warmth = WARM, *, steady: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Energy of edges at even speed, which belong to no trip, J per unit, (n, SIZE) each.
+        """Energy of edges that belong to no trip, by state, J per unit, (n, SIZE) each.
 
-        It is proportional to their length. Edges of one speed and slope add up.
+        It is proportional to their length, so edges of one speed and slope add up.
 
         Args:
-            edges: n of them, as `even_steps` has them.
+            edges: n of them, as `even_steps` makes them.
             weather: on the way.
             warmth: of tyres and cabin on each.
             steady: True if they are driven evenly.
@@ -121,7 +120,7 @@ class PowerModel:
             The whole, and the part of it that is due to uneven speed.
         """
         duration, length = edges.duration, edges.distance
-        # As an edge of at least a metre or a second: shorter ones have no force of their own.
+        # Rows are computed for a metre, or a second: shorter steps do not resolve the force.
         size = np.where(length > CREEPING * duration, length, duration)
         metre = Steps._make((*(column / size for column in edges[:5]), *edges[5:]))
         rows = self.car.equation.rows(metre, self._conditions(weather), warmth) * size[:, None]
@@ -137,7 +136,7 @@ class PowerModel:
     def rows_along(self, steps: Steps, weather: Weather) -> np.ndarray:
         """Rows summed up to the end of each step, shape (..., n, SIZE).
 
-        In memory they are ordered by state, which makes sums and products several times faster.
+        Memory is ordered by state, which makes sums and products several times faster.
         """
         equation, network = self.car.equation, self.car.equation.network
         wheels, columns = self._columns(steps, weather)
@@ -174,7 +173,7 @@ class PowerModel:
         return row, energy
 
     def summed_rows(self, steps: Steps, weather: Weather) -> Any:
-        """Rows of many whole trips, shape (batch, SIZE); the network by a table."""
+        """Rows of many whole trips, shape (batch, SIZE); the network is looked up in a table."""
         wheels, columns = self._columns(steps, weather)
         rows = zeros((len(steps.distance), SIZE), steps.distance)
         for state, column in columns.items():
@@ -189,11 +188,11 @@ class PowerModel:
         """Energy, J, and its 1-sigma, J, of journeys of any shape (...).
 
         Args:
-            rows: summed, shape (..., SIZE); changed here.
+            rows: summed, shape (..., SIZE); modified in place.
             elapsed: s since the start.
-            noise: variance of what no state explains, J^2.
+            noise: variance of energy that no state explains, J^2.
             unseen: m of road whose height is not known.
-            uneven: size of the energy expected of uneven speed, J.
+            uneven: size of the expected energy of uneven speed, J.
         """
         car, xp = self.car, namespace(rows)
         _, rows[..., State.LOAD], rest = wandered(elapsed)
@@ -202,16 +201,16 @@ class PowerModel:
         variance = xp.einsum("i...,i...->...", xp.tensordot(covariance, states, 1), states)
         variance = variance + car.load_variance * rest + noise
         variance = car.trust * (variance + car.growth * car.weight_over_eta**2 * unseen)
-        variance = variance + (car.unevenness.share * uneven) ** 2  # has a scale of its own
+        variance = variance + (car.unevenness.share * uneven) ** 2  # not scaled by `trust`
         return rows @ mean, xp.sqrt(within(variance, 0.0, math.inf))
 
     def noise(self, elapsed: Any, stood: Any, square: Any) -> Any:
-        """Variance of energy that no state explains, J^2, from what `unexplained` takes."""
+        """Variance of energy that no state explains, J^2; arguments as in `unexplained`."""
         still, moving = unexplained(elapsed, stood, square)
         return self.car.noise[0] * still + self.car.noise[1] * moving
 
     def difference(self, end: PlanEnd, other: PlanEnd) -> Uncertain:
-        """Energy that one plan takes more than another, J, and the 1-sigma of that, J.
+        """Energy of one plan less that of another, J, and its 1-sigma, J.
 
         Both begin at the same moment with the same car, so common errors cancel. Plans of equal
         length are assumed to follow the same road.
@@ -243,8 +242,8 @@ class PowerModel:
         """Coldness at the start of a trip.
 
         Args:
-            stood: s that the car stands before it; None: as now, and cold at the start of a
-                drive. If the last drive is unknown, the car was warm after it.
+            stood: s that the car stands before it; None: as now, which is cold before a drive. If
+                the length of the last drive is unknown, the car was warm after it.
             prewarmed: share of the cabin's warmth that the charger gave.
         """
         warmth = Warmth.after(self.car.seconds)
@@ -258,15 +257,15 @@ class PowerModel:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance of the states, shape (SIZE, SIZE), with that of heating of single drives.
+        """Covariance of the states, shape (SIZE, SIZE), with the scatter of heating by drives.
 
-        How much of the likely heating is switched on is unknown before a drive; the loads of its
-        first minutes show it.
+        How much of the expected heating is on is unknown before a drive; the loads of its first
+        minutes show it.
         """
-        car, strays = self.car, np.zeros(SIZE)
+        car, sigma = self.car, np.zeros(SIZE)
         share = CLIMATE_SHARE * math.exp(-car.seconds / CLIMATE_SHOWN)
-        strays[HEATING] = share * car.mean[HEATING]
-        return np.asarray(car.covariance + np.outer(strays, strays) / max(car.trust, LEAST_TRUST))
+        sigma[HEATING] = share * car.mean[HEATING]
+        return np.asarray(car.covariance + np.outer(sigma, sigma) / max(car.trust, LEAST_TRUST))
 
     @cached_property
     def _table(self) -> np.ndarray:
@@ -274,9 +273,9 @@ class PowerModel:
         return table_of(self.car.equation.network)
 
     def _columns(self, steps: Steps, weather: Weather) -> tuple[Wheels, dict[State, Any]]:
-        """Wheels of steps, and their energy by state but for the network, J per unit.
+        """Wheels of steps, and their energy by state without the network, J per unit.
 
-        The share that the terms of eq. 21 explain of the others is still in them.
+        The share of the other columns that the terms of eq. 21 explain is not subtracted.
         """
         equation, duration = self.car.equation, steps.duration
         conditions, warmth = self._surroundings(steps, weather)
@@ -286,7 +285,7 @@ class PowerModel:
         return wheels, moving | {state: power * duration for state, power in loads.items()}
 
     def _conditions(self, weather: Weather) -> Conditions:
-        """Conditions for the equation: given heating counts like a reported one."""
+        """Conditions for the equation: given heating counts like a reported load."""
         celsius = self.car.celsius if weather.celsius is None else weather.celsius
         given = weather.heating is not None
         return Conditions(weather.air_density, 0.0, celsius, weather.heating or 0.0, given)
@@ -298,7 +297,7 @@ class PowerModel:
 
 
 def even_steps(duration: Any, distance: Any, climb: Any, wind: float = 0.0) -> Steps:
-    """Steps at even speed: s, m, m; of one shape or numbers; wind: against the car, m/s."""
+    """Steps at even speed, of any shape: durations, s, distances and climbs, m; head wind, m/s."""
     flow = distance / duration + wind
     return Steps(duration, distance, flow * abs(flow) * distance, 0.0 * duration, climb)
 
@@ -315,17 +314,17 @@ def _loaded(model: PowerModel, payload: float) -> PowerModel:
 
 
 def vehicle_model(vehicle: Vehicle) -> PowerModel:
-    """The car of a vehicle file, of which nothing was learned yet."""
+    """The model of a vehicle file, before anything is learned."""
     return PowerModel(model_of_file(vehicle))
 
 
 def combined_model(combined: Identifiable, sigmas: Identifiable, vehicle: Vehicle) -> PowerModel:
-    """The car of identifiable combinations, whose errors are taken as independent.
+    """The model of identifiable combinations, with independent errors.
 
     Args:
         combined: floats.
         sigmas: their 1-sigma.
-        vehicle: for everything else.
+        vehicle: for all other states.
     """
     car = vehicle_model(vehicle).car
     mass, area, c_rr, regeneration, p_aux = combined

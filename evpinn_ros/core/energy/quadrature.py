@@ -26,7 +26,7 @@ Count: TypeAlias = Annotated[int, Range(0, MOST_COUNTED)]
 
 
 def trapezoid(values: np.ndarray, at: np.ndarray) -> float:
-    """The integral of samples, both of shape (n,); numpy calls it by another name before 2.0."""
+    """The integral of samples, both of shape (n,); NumPy renamed its own in 2.0."""
     return float((np.diff(at) * (values[1:] + values[:-1]) / 2.0).sum())
 
 
@@ -35,8 +35,8 @@ def joined(steps: np.ndarray, max_gap: float, before: np.ndarray = NONE) -> np.n
 
     Args:
         steps: positive, in order.
-        max_gap: longest step that is integrated, s; for slow samples some of their usual steps.
-        before: steps that went before.
+        max_gap: longest step that is integrated, s; or `GAP_STEPS` usual steps of slow samples.
+        before: earlier steps.
     """
     mask: np.ndarray = steps <= max_gap
     if mask.all():
@@ -61,8 +61,8 @@ def split(steps: np.ndarray, begin: np.ndarray, end: np.ndarray) -> tuple[np.nda
 
     Args:
         steps: s, positive, shape (n,) as all.
-        begin: power there, W.
-        end: power there, W.
+        begin: power at the begin of each, W.
+        end: power at the end of each, W.
     """
     whole = (begin + end) / 2 * steps
     high, low = np.maximum(begin, end), np.minimum(begin, end)
@@ -91,7 +91,7 @@ class SavedIntegral:
     not_finite: Count = 0
 
     def refuse_above(self, most: float) -> None:
-        """ValueError if it is more than a constant power of `most`, W, would have given."""
+        """Raise a ValueError if it exceeds a constant power of `most`, W."""
         if self.drawn + self.regenerated > most * self.covered_s * ROUNDING:
             raise ValueError(f"more than {most:g} all the time was integrated")
 
@@ -103,17 +103,17 @@ class IntegralCourse(NamedTuple):
     """Course of an integral along a block of n samples, of which it uses m.
 
     Attributes:
-        used: how many of the block are used before each sample and after the last, shape (n + 1,).
-        places: of those used, in the block, shape (m,).
-        stamps: of those used, ns, shape (m,).
-        steps: s from the sample used before to each of these, 0 at the first of all, shape (m,).
+        used: number of used samples after 0 to n samples, shape (n + 1,).
+        places: indices of the used samples in the block, shape (m,).
+        stamps: of the used samples, ns, shape (m,).
+        steps: s from the used sample before to each, 0 at the very first, shape (m,).
         joined: whether that step was integrated, shape (m,).
         begin: value at the begin of the step, shape (m,).
         end: value at its end, shape (m,).
-        drawn: integral where the value is positive, after so many used, shape (m + 1,).
-        regenerated: integral where it is negative, as a positive number, likewise.
-        covered_s: time that was integrated, s, likewise.
-        gaps: steps too long to integrate, likewise.
+        drawn: integral of positive values after 0 to m used samples, shape (m + 1,).
+        regenerated: integral of negative values, as a positive number, shape (m + 1,).
+        covered_s: time that was integrated, s, shape (m + 1,).
+        gaps: number of steps too long to integrate, shape (m + 1,).
         recent: steps before the block, and those in it.
     """
 
@@ -131,7 +131,7 @@ class IntegralCourse(NamedTuple):
     recent: np.ndarray
 
     def longest(self, used: int) -> float:
-        """Longest integrated step, s, after a number of used samples, if over `MAX_GAP`."""
+        """`GAP_STEPS` usual steps after a number of used samples, s."""
         last = len(self.recent) - len(self.steps) + used
         recent = np.sort(self.recent[max(0, last - RATE_READINGS) : last])
         return GAP_STEPS * float(recent[len(recent) // 2]) if len(recent) else 0.0
@@ -140,16 +140,16 @@ class IntegralCourse(NamedTuple):
 class EnergyIntegral:
     """Integrates power over blocks of samples.
 
-    A step longer than `max_gap`, and than some of the usual steps of slow samples, is not
-    integrated: it counts as a gap. A sample that is not newer than the last one, or not finite, is
-    dropped and counted. How samples are cut into blocks changes nothing.
+    A step longer than `max_gap` and `GAP_STEPS` usual steps is not integrated: it counts as a gap.
+    A sample that is not newer than the last one, or not finite, is dropped and counted. How
+    samples are cut into blocks changes nothing.
 
     Attributes:
-        total: what was counted.
+        total: totals and counters so far.
     """
 
     def __init__(self, max_gap: float = MAX_GAP, saved: SavedIntegral = NOTHING) -> None:
-        """An integral of zero, or one that goes on from what was saved.
+        """Start from zero or from a saved integral.
 
         Args:
             max_gap: longest step that is integrated, s (see `joined`).
@@ -165,7 +165,7 @@ class EnergyIntegral:
         return self.total.out_of_order + self.total.not_finite
 
     def extend(self, stamps: np.ndarray, values: np.ndarray) -> IntegralCourse:
-        """Take samples in order of arrival: stamps, ns, and values, W, shape (n,) each."""
+        """Add samples in order of arrival: stamps, ns, and values, W, shape (n,) each."""
         finite = np.isfinite(values)
         newest = np.maximum.accumulate(
             np.concatenate((self._last_ns, np.where(finite, stamps, NO_STAMP)))
@@ -176,7 +176,7 @@ class EnergyIntegral:
         before_ns, before = (at, end) if is_first else (self._last_ns, self._last)
         steps = np.diff(at, prepend=before_ns[:1]) / NANOSECONDS
         begin = np.concatenate((before[:1], end[:-1]))[: len(at)]
-        real = slice(int(is_first), None)  # the first sample of all ends no step
+        real = slice(int(is_first), None)  # the very first sample ends no step
         mask, gap = np.zeros((2, len(at)), dtype=bool)
         mask[real] = joined(steps[real], self._max_gap, self._recent)
         gap[real] = ~mask[real]

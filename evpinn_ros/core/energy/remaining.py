@@ -2,21 +2,21 @@
 
 The consumption of the next metres is mostly that of the learned car on its usual legs of a minute,
 at the present temperature and loads (`usual_cost`): a cold morning or a roof box counts before its
-kilometres are driven. Tyres and cabin are as cold as in the mean of its drives, for it starts
-again on the way. Over `MEMORY` it returns to the mean of the last 100 km. So the energy of the
-next d metres is
+kilometres are driven. Tyres and cabin are as cold as in the mean of its drives, because the car
+will stop and start again on the way. Over `MEMORY`, consumption returns to the mean of the last
+100 km. So the energy of the next d metres is
 
     E(d) = c_long d + (c_near - c_long) L (1 - exp(-d / L)),    L = MEMORY
 
-and at the distance to empty it equals the energy left. The error of the cost is a process over
+and at the distance to empty it equals the energy left. The error of consumption is a process over
 distance with the same memory, whose 1-sigma is the spread of 5 km pieces of road
-(`energy.uncertainty`, metres for seconds). The band ends where E, shifted by 1.645 sigma of it and
-of the energy left, equals the energy left.
+(`energy.uncertainty`, metres for seconds). The band ends where E plus or minus 1.645 sigma, of E
+and of the energy left, equals the energy left.
 
-While the car follows a forecast route, the road ahead is the rest of that route, and the E above
-begins at its end: the consumption of a route counts for that route alone. Before 10 km are driven,
-the usual legs are expected beyond it; if none are known, as on the first kilometres, the mean of a
-route of 10 km or more. The horizon of a controller is no route (`SHORTEST`).
+While the car follows a forecast route, the road ahead is the rest of that route, and E begins at
+its end. Before 10 km are driven, the road beyond costs as much as the usual legs, or, while these
+are unknown, as the mean of a route of 10 km or more. A plan shorter than `SHORTEST`, such as the
+horizon of a controller, is not a route.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 
 MEMORY = 10e3  # m
 # Weight of the usual legs against the long run, chosen on the e-208, the Leaf and the Changchun
-# sedan; if no usual legs are known, that of the last 10 km.
+# sedan; weight of the last 10 km while usual legs are unknown.
 USUAL, RECENT = 0.75, 0.5
-LEAST_METRES = 3000.0  # driven in such legs, from which on they are usual
+LEAST_METRES = 3000.0  # in legs of a minute, from which on usual legs are known
 FIRST_SPREAD, FIRST_SPREAD_PIECES = 0.25, 5  # prior relative 1-sigma of pieces; its weight
-FARTHEST = 2.0**21  # m; a longer distance is no answer
-HALVINGS = 21  # down to a metre
+FARTHEST = 2.0**21  # m; a longer distance to empty counts as unknown
+HALVINGS = 21  # of `FARTHEST` down to a metre
 QUANTILE = 1.6449  # of 90 %
-SHORTEST = 2e3  # m of a route; the horizon of a controller is shorter, and changes no range
+SHORTEST = 2e3  # m; a shorter plan is not a route
 GIVEN_UP = 2.0  # times its planned duration, after which an unfinished route is given up
 MOST_POINTS = 1000  # of a route, which is saved each minute: of 300 km one each 300 m
 Stamp: TypeAlias = Annotated[int, Range(0, sys.maxsize)]  # ns
@@ -95,7 +95,7 @@ class Cost(NamedTuple):
         return self.long * distance + (self.near - self.long) * float(relaxed(distance, MEMORY))
 
     def sigma(self, distance: float) -> float:
-        """1-sigma of that, J."""
+        """1-sigma of `energy`, J."""
         level = self.spread * max(self.near, self.long)
         return level * math.sqrt(max(walked(distance, MEMORY), 0.0))
 
@@ -118,15 +118,15 @@ class Route:
     """A route that the car follows, with the forecast of its plan; it survives a restart.
 
     Attributes:
-        distance: of points of its curve from the first, m, never falling, n of them.
+        distance: of n points of its curve from the first, m, never falling.
         energy: from the first point to each, J.
-        sigma: 1-sigma of that, J.
-        begin: the odometer at its first point, m.
-        begin_ns: stamp there; 0 until the first one is known.
-        longest_ns: time since then after which it is given up.
+        sigma: 1-sigma of `energy`, J.
+        begin: odometer at the first point, m.
+        begin_ns: stamp at the first point; 0 while no stamp is known.
+        longest_ns: time after `begin_ns` at which the route is given up.
 
     Raises:
-        ValueError: these are no points along a route.
+        ValueError: the points are not along a route.
     """
 
     distance: tuple[Metres, ...]
@@ -140,11 +140,11 @@ class Route:
         if not 2 <= len(self.distance) == len(self.energy) == len(self.sigma):
             raise ValueError("a route needs two points or more, of three numbers each")
         if self.distance[0] != 0.0 or min(np.diff(self.distance)) < 0.0 or min(self.sigma) < 0.0:
-            raise ValueError("no such route: its distance falls, or a sigma is negative")
+            raise ValueError("a route's distance falls or starts above 0, or a sigma is negative")
 
     @classmethod
     def from_here(cls, curve: EnergyCurve, odometer: float, stamp_ns: int) -> Route:
-        """The route of a plan that begins now, where the car is; stamp_ns: 0 if unknown yet."""
+        """The route of a plan that begins here and now; stamp_ns: 0 while unknown."""
         time, along, energy, sigma = curve
         if len(along) > MOST_POINTS:
             kept = np.linspace(0.0, along[-1], MOST_POINTS)
@@ -160,18 +160,18 @@ class Route:
         return self.energy[-1] / self.distance[-1]
 
     def see(self, stamp_ns: int) -> None:
-        """Take the first known stamp as that of its first point."""
+        """Take the first known stamp as `begin_ns`."""
         self.begin_ns = self.begin_ns or stamp_ns
 
     def left(self, odometer: float, stamp_ns: int) -> float:
-        """Metres that are left of it; 0 or less once it is over. stamp_ns: 0 if unknown yet."""
-        known = self.begin_ns and stamp_ns
-        if known and not 0 <= stamp_ns - self.begin_ns <= self.longest_ns:
+        """Rest of the route, m; 0 or less once it is over; stamp_ns: 0 while unknown."""
+        is_timed = self.begin_ns and stamp_ns
+        if is_timed and not 0 <= stamp_ns - self.begin_ns <= self.longest_ns:
             return 0.0
         return self.begin + self.distance[-1] - odometer
 
     def ahead(self, odometer: float, beyond: Cost) -> RouteAhead:
-        """The rest of it, and the road beyond its end."""
+        """The rest of the route, and the road beyond its end."""
         along, energy, sigma = map(np.asarray, (self.distance, self.energy, self.sigma))
         driven = odometer - self.begin
         rest = along > driven
@@ -187,8 +187,8 @@ class RouteAhead(NamedTuple):
 
     Attributes:
         distance: of its points from here, m, the first 0, shape (n,).
-        energies: from here to each, J.
-        sigmas: 1-sigma of these, J.
+        energies: from here to each point, J, shape (n,).
+        sigmas: 1-sigma of `energies`, J, shape (n,).
         beyond: cost of the road that follows.
     """
 
@@ -211,10 +211,10 @@ class RouteAhead(NamedTuple):
         return max(float(most[-1]), float(self.energies[-1]) + self.beyond.energy(after))
 
     def sigma(self, distance: float) -> float:
-        """1-sigma of that, J."""
+        """1-sigma of `energy`, J."""
         after = max(distance - float(self.distance[-1]), 0.0)
-        on_it = float(np.interp(distance, self.distance, self.sigmas))
-        return math.hypot(on_it, self.beyond.sigma(after))
+        on_route = float(np.interp(distance, self.distance, self.sigmas))
+        return math.hypot(on_route, self.beyond.sigma(after))
 
 
 def cost_spread(pieces: Sequence[Stretch]) -> float:
@@ -230,7 +230,7 @@ def cost_spread(pieces: Sequence[Stretch]) -> float:
 
 
 def remaining(usable: Uncertain, ahead: Cost | RouteAhead) -> Remaining | None:
-    """Distance to empty, None while it cannot be known.
+    """Distance to empty; None while energy or cost is unknown, or beyond `FARTHEST`.
 
     Args:
         usable: energy left, J.

@@ -25,11 +25,11 @@ class Standby:
     """Keeps battery readings that the estimator may have missed."""
 
     def __init__(self, now: float) -> None:
-        """Begin as if the estimator had just sent a message; now: s of the monotonic clock."""
+        """Start as if the estimator had just sent a message; now: s of the monotonic clock."""
         self._heard, self._waiting = now, deque[BatteryReading](maxlen=MOST_WAITING)
 
     def hear(self, stamp_ns: int, now: float) -> list[MeasuredPower]:
-        """Take a stamp of the estimator; returns the readings that it missed while away."""
+        """Take a stamp of the estimator; returns the power that it missed while away."""
         away, self._heard = now - self._heard > AWAY, now
         missed: list[BatteryReading] = []
         if away:
@@ -39,7 +39,7 @@ class Standby:
         return [*_powers(missed)]
 
     def take(self, reading: BatteryReading, now: float) -> list[MeasuredPower]:
-        """Take a reading; returns all waiting ones while the estimator is away."""
+        """Take a reading; returns the power of all waiting ones while the estimator is away."""
         self._waiting.append(reading)
         if now - self._heard <= AWAY:
             return []

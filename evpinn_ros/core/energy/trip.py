@@ -49,10 +49,10 @@ class SavedTrip:
 
 
 class DistanceWindow:
-    """Energy over the last so many metres, in a bounded number of buckets.
+    """Energy over the last `length` metres, in a bounded number of buckets.
 
-    It holds whole buckets of a 20th of its length and an unfinished one. So it spans up to a 20th
-    more than its length, and energy over distance is exact for its span.
+    It holds full buckets of at least a 20th of its length and an unfinished one. So it spans a
+    little more than its length, and energy over distance is exact for its span.
     """
 
     def __init__(self, length: float, buckets: tuple[Stretch, ...] = (NOTHING,)) -> None:
@@ -75,7 +75,7 @@ class DistanceWindow:
         return Stretch(*(math.fsum(column) for column in zip(*self.buckets, strict=True)))
 
     def extend(self, distance: np.ndarray, energy: np.ndarray) -> None:
-        """Take steps that were driven since the last: m and J, shape (n,) each."""
+        """Add steps: distances, m, and energies, J, shape (n,) each."""
         *full, last = self.buckets
         while True:
             metres = np.cumsum(np.append(last.distance, distance))[1:]
@@ -96,14 +96,14 @@ class DistanceWindow:
 class TripLog(Saveable[SavedTrip]):
     """Joins speed and energy to consumption by distance.
 
-    Energy that was taken while speed was silent has no distance, so no stretch has it.
+    Energy taken while speed was silent has no distance, so it is in no stretch.
 
     Attributes:
-        windows: over the last 1, 10 and 100 km; a reset of the trip leaves them.
+        windows: over the last 1, 10 and 100 km; a reset of the trip keeps them.
     """
 
     def __init__(self) -> None:
-        """Nothing driven yet; across more than `MAX_GAP` speed is not joined."""
+        """Start at zero; speed is not joined across `MAX_GAP`."""
         self.windows = tuple(DistanceWindow(length) for length in WINDOWS)
         self._energy = 0.0
         self._go_on(SavedIntegral())
@@ -118,8 +118,8 @@ class TripLog(Saveable[SavedTrip]):
         return Stretch(self._speed.total.drawn, self._energy)
 
     def extend(self, stamps: np.ndarray, speeds: np.ndarray, energies: np.ndarray) -> None:
-        """Take speeds, m/s, and the net energy at them since any start, J; shape (n,) each."""
-        # The integral of speed is distance: one way to deal with gaps and doubled stamps.
+        """Add speeds, m/s, with the net energy at them since any start, J; shape (n,) each."""
+        # Distance is an `EnergyIntegral` of speed, which handles gaps and equal stamps.
         course = self._speed.extend(stamps, np.abs(speeds))
         used = energies[course.places]
         if not len(used):
@@ -133,7 +133,7 @@ class TripLog(Saveable[SavedTrip]):
         self._energy_before = float(used[-1])
 
     def correct(self, energy: float) -> None:
-        """Add energy, J, that is found later to belong to the trip."""
+        """Add energy, J, that later turns out to belong to the trip."""
         self._energy += energy
 
     def reset_trip(self) -> None:
@@ -151,7 +151,7 @@ class TripLog(Saveable[SavedTrip]):
         return SavedTrip(self._speed.total, self._energy, windows)
 
     def take(self, saved: SavedTrip) -> None:
-        """Go on from a trip and its windows; the next speed joins to none before."""
+        """Go on from a saved trip; the next speed is joined to none before."""
         self.windows = tuple(map(DistanceWindow, WINDOWS, saved.windows))
         self._energy = saved.energy
         self._go_on(saved.speed)

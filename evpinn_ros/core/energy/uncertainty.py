@@ -11,9 +11,9 @@ which is (sigma t)^2 for t << tau, where the error is a constant offset, and 2 t
 an offset for the whole drive (tau -> infinity) a far too large one.
 
 That is the error of minutes. A difference between the car and the learned one (tyres, wind, a cold
-battery) lasts: without the battery nothing corrects it, and the error of energy grows with the
-gross energy, drawn and regenerated together, not with its root. The hybrid learner gives the sigma
-of a dropout itself; `LASTING_SHARE` replaces it in `mode: paper`.
+battery) lasts: without the battery nothing corrects it, and the error of energy is proportional to
+gross energy, drawn and regenerated together. The hybrid learner gives the sigma of a dropout
+itself; `mode: paper` uses `LASTING_SHARE`.
 
 Power between the samples of a sensor adds a variance too: see `sampled`.
 """
@@ -49,11 +49,11 @@ def walked(elapsed: Any, memory: float) -> Any:
 
 
 def sampled(steps: np.ndarray, rises: np.ndarray) -> np.ndarray:
-    """Variance, J^2, of the energy of steps, s, from the rise of power, W, over each.
+    """Variance of the energy of steps, J^2, shape (n,), from the rise of power, W, over each.
 
-    Power is modelled as a Gauss-Markov process whose size follows from the rises. For short steps
-    it is that of a Brownian bridge, rise^2 step^2 / 12; for long ones, whose samples are
-    independent, six times that.
+    Power is modelled as a Gauss-Markov process whose variance follows from the rises. For short
+    steps the result is that of a Brownian bridge, rise^2 step^2 / 12; for long ones, whose samples
+    are independent, six times that.
     """
     half = steps / (2.0 * POWER_MEMORY)
     share = (1.0 / np.tanh(half) - 1.0 / half) / (-2.0 * np.expm1(-2.0 * half))
@@ -81,19 +81,19 @@ class CorrelatedError:
     def integrate(
         self, sigmas: np.ndarray, steps: np.ndarray, besides: np.ndarray | None = None
     ) -> np.ndarray:
-        """Integrate over steps, s, each with a 1-sigma of power, W, constant in it; shape (n,).
+        """Integrate over n steps, s, with a 1-sigma of power, W, constant in each.
 
         `besides` are independent variances of the energy of the steps, J^2.
-        Returns the variance of the energy, J^2, before and after each, shape (n + 1,).
+        Returns the variance of the energy after 0 to n steps, J^2, shape (n + 1,).
         """
         tau = CORRELATION_TIME
         forgotten = relaxed(steps, tau) / tau  # 1 - exp(-dt / tau)
-        own = np.maximum(sigmas * tau * (steps - tau * forgotten), 0.0)
+        within = np.maximum(sigmas * tau * (steps - tau * forgotten), 0.0)
         extra = np.zeros(len(steps)) if besides is None else besides
         variances = [self._variance]
-        columns = sigmas, forgotten, own, extra
-        for sigma, share, alone, beside in zip(*(c.tolist() for c in columns), strict=True):
-            self._variance += 2 * sigma * (self._covariance * tau * share + alone) + beside
+        columns = sigmas, forgotten, within, extra
+        for sigma, share, inside, beside in zip(*(c.tolist() for c in columns), strict=True):
+            self._variance += 2 * sigma * (self._covariance * tau * share + inside) + beside
             self._covariance += (sigma * tau - self._covariance) * share
             variances.append(self._variance)
         return np.array(variances)
