@@ -61,11 +61,18 @@ def read_plan(
     path = Path(path)
     try:
         with np.errstate(all="ignore"):  # non-finite values are refused later, in words
-            return _plan(path, vehicle or load_vehicle("generic"), options)
+            plan = _plan(path, vehicle or load_vehicle("generic"), options)
     except InputError as error:
         text = str(error)
         named = text if text.startswith(str(path)) else f"{path}: {text}"
         raise (PlanError if isinstance(error, PlanError) else InputError)(named) from error
+    if options.pace is not None and not _is_driven_at(options.pace, plan):
+        warnings.warn("the speed that was given is not used: this plan has its own", stacklevel=2)
+    return plan
+
+
+def _is_driven_at(pace: float, plan: Plan | Legs) -> bool:
+    return isinstance(plan, Legs) and np.allclose(plan.length, pace * plan.duration)
 
 
 def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
@@ -117,6 +124,8 @@ def _json_plan(content: bytes, pace: float | None) -> Legs:
         raise PlanError(f"more than {MOST_VALUES} values, which no plan needs")
     try:
         data = json.loads(content)
+        if not isinstance(data, dict):
+            raise PlanError(f"JSON of no known kind: {KNOWN}")
         if (legs := legs_of_route(data)) is not None:
             return legs
         if "type" not in data:
@@ -124,6 +133,8 @@ def _json_plan(content: bytes, pace: float | None) -> Legs:
         return legs_of_track(geojson_track(data), pace)
     except KeyError as error:
         raise PlanError(f"its JSON lacks {error}") from error
+    except json.JSONDecodeError as error:
+        raise PlanError(f"its JSON is damaged: {error}") from error
     except DAMAGED as error:
         raise PlanError(f"its JSON is damaged: {with_kind(error)}") from error
 
@@ -136,6 +147,7 @@ LONG_GAP = 600.0  # s; after a longer gap another drive begins
 STANDING = 0.5  # m/s, most before and after a gap
 SHORTEST = 2.0  # s
 UNIT_OF_TIME = "a column of times says its unit, as t_s or 'time [ms]' do"
+AS_DRIVEN = "; it is taken as driven; --expected adds what drivers do between its points"
 DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
 
 
@@ -148,20 +160,21 @@ def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
     mixed = not source.in_order and not source.dated  # rows may be legs with durations
     if mixed or source.dropped["time_not_increasing"] > len(readings):
         raise PlanError("its times do not rise, so they are no times")
-    _warn_of_choices(source)
     recorded = not source.rules or source.dated or any(r.quantity in BATTERY for r in source.rules)
-    return plan_of_readings(readings, recorded=bool(recorded))
+    plan = plan_of_readings(readings, recorded=bool(recorded))
+    _warn_of_choices(source, AS_DRIVEN if plan.commanded else "")
+    return plan
 
 
-def _warn_of_choices(source: Source) -> None:
-    """Warn of the columns of a table that were chosen by name and values."""
+def _warn_of_choices(source: Source, taken: str) -> None:
+    """Warn of the columns of a table that were chosen by name and values, and how it is taken."""
     if any(rule.why for rule in source.rules):
         chosen = "; ".join(
             f"{rule.quantity} {rule.name!r}{f', {rule.unit}' * bool(rule.unit)} ({rule.basis})"
             for rule in source.rules
             if rule.quantity in ROAD
         )
-        warnings.warn(f"read as a drive by the columns {chosen}", stacklevel=2)
+        warnings.warn(f"read as a drive by the columns {chosen}{taken}", stacklevel=2)
     for assumed in source.assumptions:
         if assumed.partition(":")[0] in ROAD:
             warnings.warn(assumed, stacklevel=2)

@@ -17,7 +17,7 @@ import warnings
 
 import numpy as np
 
-from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, sums
+from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, PlanError, refuse, sums
 from evpinn_ros.core.estimation.even import runs_of
 from evpinn_ros.logs.plans.way import Heights, legs_between, way_length
 
@@ -34,10 +34,14 @@ CARRIERS = {"ferry", "train", "rail", "rail-ferry", "rail_ferry", "shuttle train
 FERRY_MANEUVER, FERRY_SIGN = 28, 9  # types of Valhalla and GraphHopper
 FERRY_CATEGORY, FERRY_WAY = 8, 9  # openrouteservice: a bit of `waycategory`, one of `waytypes`
 LOST = 500.0  # m of a ferry that no part of a route shows
+HIDDEN = "a ferry or a train is within one of its parts; ask for finer ones"
+# A part as long, m, and as slow, m/s, may be a ferry.
+LONG_PART, SLOW_PART = 1000.0, 20.0 / 3.6
 KNOWN = (
     "known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and openrouteservice, and "
     "drives that `evpinn replay` reads"
 )
+FOREIGN = f"an answer of no known route service (Google's is none): {KNOWN}"
 MOST_CHUNKS = 7  # characters of a number: 35 bits, of which coordinates need 29
 
 
@@ -52,34 +56,61 @@ class RoutePart(NamedTuple):
 def legs_of_route(data: Json) -> Legs | None:
     """Legs of a route service's answer, None for other JSON; PlanError if it has no route."""
     if "legs" in (data.get("trip") or ()):
-        return _valhalla_route(data["trip"])
+        return _valhalla_route(_first([data["trip"], *(data.get("alternates") or ())]))
     if "edges" in data:
         return _valhalla_edges(data)
     if data.get("paths"):
-        return _graphhopper(data["paths"][0])
+        return _graphhopper(_first(data["paths"]))
     if data.get("features") and "segments" in (data["features"][0].get("properties") or {}):
-        feature = data["features"][0]
+        feature = _first(data["features"])
         return _openrouteservice(feature["properties"], feature["geometry"], data)
-    routes = next((data[name] for name in OSRM_ROUTES if data.get(name)), None)
-    if routes and "segments" in routes[0]:
-        return _openrouteservice(routes[0], routes[0].get("geometry"), data)
-    if routes:
-        legs = routes[0].get("legs") or [{}]
-        if not all(isinstance(leg.get("distance"), int | float) for leg in legs):
-            raise PlanError(f"an answer of no known route service (Google's is none): {KNOWN}")
-        return _legs([part for leg in legs for part in _osrm_parts(leg)])
+    if kind := next((name for name in OSRM_ROUTES if data.get(name)), None):
+        return _routes(kind, data)
     if reason := data.get("error") or data.get("message") or data.get("code"):
-        text = reason.get("message", reason) if isinstance(reason, Mapping) else reason
+        named = isinstance(reason, Mapping)
+        text = (reason.get("message") or reason.get("description")) if named else reason
         if text == "Ok":  # of another service, such as OSRM's table
             raise PlanError("there is no route in this answer")
         raise PlanError(f"the route service found no route: {text}")
     return None
 
 
-def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
+def _first(routes: Sequence[Json]) -> Json:
+    """The first of alternatives; warns of the others."""
+    if len(routes) > 1:
+        warnings.warn(f"the first of {len(routes)} routes is taken", stacklevel=4)
+    return routes[0]
+
+
+def _routes(kind: str, data: Json) -> Legs:
+    """The first of `routes`, of OSRM or openrouteservice, or all of OSRM's other `OSRM_ROUTES`."""
+    routes = data[kind]
+    if not isinstance(routes, list):
+        raise PlanError(FOREIGN)
+    if kind == "routes":
+        routes = [_first(routes)]
+    elif len(routes) > 1:  # where a trace or the network is interrupted
+        text = f"{len(routes)} {kind} follow each other; the ways between them are unknown"
+        warnings.warn(f"{text} and left out", stacklevel=4)
+    if "segments" in routes[0]:
+        return _openrouteservice(routes[0], routes[0].get("geometry"), data)
+    legs = [leg for route in routes for leg in route.get("legs") or [{}]]
+    if not all(isinstance(leg.get("distance"), int | float) for leg in legs):
+        raise PlanError(FOREIGN)
+    parts = [part for leg in legs for part in _osrm_parts(leg)]
+    return _legs(parts, told=all(leg.get("steps") for leg in legs))
+
+
+def _legs(
+    parts: Sequence[RoutePart], heights: Heights | None = None, *, told: bool = True
+) -> Legs:
+    """Legs of the parts that are driven; warns of a possible ferry unless these are `told`."""
     if not parts:
         raise PlanError("its route has no parts")
     rows = np.array(parts, float)
+    refuse(~np.isfinite(rows).all(axis=1), "length or time is unknown, or speed 0", "part")
+    if not told:
+        _warn_of_ferry(rows)
     if (carried := rows[:, 2] > 0).any():
         rows, heights = _driven(rows, carried, heights)
     length, duration = _lasting(rows[:, :2]).T
@@ -87,6 +118,17 @@ def _legs(parts: Sequence[RoutePart], heights: Heights | None = None) -> Legs:
         pieces = np.maximum(duration // SETTLED, 1).astype(int)
         length, duration = (np.repeat(column / pieces, pieces) for column in (length, duration))
     return legs_between(sums(duration), sums(length), heights)
+
+
+def _warn_of_ferry(rows: np.ndarray) -> None:
+    slow = rows[(rows[:, 0] < SLOW_PART * rows[:, 1]) & (rows[:, 2] == 0)]
+    metres, seconds, _ = max(slow.tolist(), default=(0.0, 0.0, 0.0))
+    if metres > LONG_PART:
+        warnings.warn(
+            f"a part of {metres / 1e3:.1f} km takes {seconds / 60:.0f} min and counts as driven: "
+            "this answer does not say where ferries are",
+            stacklevel=5,
+        )
 
 
 def _driven(
@@ -126,7 +168,7 @@ def _carried(
     are = [part > 0.5 * whole for part, whole in zip(on_it, length, strict=True)]
     told = sum(whole for whole, carried in zip(length, are, strict=True) if carried)
     if abs(sum(float(along[end] - along[begin]) for begin, end, *_ in carriers) - told) > LOST:
-        raise PlanError("a ferry or a train is within one of its parts; ask for finer ones")
+        raise PlanError(HIDDEN)
     return are
 
 
@@ -169,6 +211,9 @@ def _valhalla_route(trip: Json) -> Legs:
             )
             for maneuver in made
         ]
+        ferry = (leg.get("summary") or {}).get("has_ferry")
+        if ferry and not any(part.carried for part in parts[-len(made) :]):
+            raise PlanError(HIDDEN)
         begin, end = end, end + sum(maneuver["length"] for maneuver in made) * metres
         if leg.get("elevation"):
             up = np.array(leg["elevation"], float) * metres_up
@@ -191,7 +236,8 @@ def _valhalla_edges(data: Json) -> Legs:
     height = np.where(middle == NO_HEIGHT, np.nan, middle * metres_up)
     carried = [edge.get("use") in CARRIERS for edge in edges]
     parts = [*map(RoutePart, length, duration, carried)]
-    return _legs(parts, Heights(np.cumsum(length) - length / 2, height))
+    heights = Heights(np.cumsum(length) - length / 2, height)
+    return _legs(parts, heights, told=all("use" in edge for edge in edges))
 
 
 def _units(answer: Json) -> tuple[float, float]:
@@ -250,7 +296,8 @@ def _graphhopper(path: Json) -> Legs:
     lengths, values = np.array(rows, float).T
     by_speed = line and timed == "average_speed"
     seconds = _scaled(lengths / values if by_speed else values, path["time"] / 1000)
-    return _legs([*map(RoutePart, lengths, seconds, carried)], line)
+    told = "road_environment" in details or "instructions" in path
+    return _legs([*map(RoutePart, lengths, seconds, carried)], line, told=told)
 
 
 def _as_instructed(along: np.ndarray, instructions: Sequence[Json]) -> np.ndarray:
@@ -287,7 +334,7 @@ def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
     if carriers and line:
         carried = _carried(spans, carriers, line.along)
         parts = [part._replace(carried=are) for part, are in zip(parts, carried, strict=True)]
-    return _legs(parts, line)
+    return _legs(parts, line, told="waycategory" in extras or "waytypes" in extras)
 
 
 def _line(line: Any, total: float, scale: float) -> Heights | None:

@@ -167,11 +167,63 @@ def test_a_ferry_that_is_hidden_in_a_part_is_refused(read):
     answer["routes"][0]["extras"] = {"waycategory": {"values": [[0, 40, 1], [40, 50, 8]]}}
     with pytest.raises(PlanError, match="a ferry or a train is within one of its parts"):
         read(answer)
+    hidden = samples.valhalla()
+    hidden["trip"]["legs"][0]["summary"]["has_ferry"] = True
+    with pytest.raises(PlanError, match="a ferry or a train is within one of its parts"):
+        read(hidden)
     whole = samples.osrm(annotated=False)
     for step in whole["routes"][0]["legs"][0]["steps"]:
         step["mode"] = "ferry"
     with pytest.warns(UserWarning), pytest.raises(PlanError, match="nothing of it is driven"):
         read(whole)
+
+
+SLOW = {"distance": 10e3, "duration": 3600.0}
+UNTOLD = {
+    "osrm": {"routes": [{"legs": [SLOW]}]},
+    "valhalla's edges": {
+        "edges": [{"length": 10.0, "speed": 10.0}, {"length": 1.0, "speed": 72.0}]
+    },
+    "graphhopper": {"paths": [{"distance": 10e3, "time": 3_600_000}]},
+    "openrouteservice": {"routes": [{"segments": [SLOW]}]},
+}
+
+
+@pytest.mark.parametrize("answer", UNTOLD.values(), ids=UNTOLD)
+def test_where_no_ferry_is_told_a_part_that_is_as_slow_is_said(read, answer):
+    with pytest.warns(UserWarning, match="10.0 km takes 60 min and counts as driven"):
+        read(answer)
+
+
+def repeated(answer, kind, name):
+    """The answer with its route twice, as the service's other kinds of answer have it."""
+    (route,) = answer[kind]
+    others = {key: value for key, value in answer.items() if key != kind}
+    return others | {name: [route, deepcopy(route)]}
+
+
+@pytest.mark.parametrize("kind", ["matchings", "trips"])
+def test_all_pieces_of_a_matched_trace_are_driven(read, kind):
+    answer = repeated(samples.osrm(), "routes", kind)
+    with pytest.warns(UserWarning, match=f"2 {kind} follow each other"):
+        legs = joined(read(answer))
+    assert legs.length == pytest.approx(samples.LENGTHS * 2)
+    assert legs.duration == pytest.approx(samples.DURATIONS * 2)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        repeated(samples.osrm(), "routes", "routes"),
+        repeated(samples.graphhopper(), "paths", "paths"),
+        repeated(samples.openrouteservice("geojson"), "features", "features"),
+        samples.valhalla() | {"alternates": [samples.valhalla()]},
+    ],
+    ids=["osrm", "graphhopper", "openrouteservice", "valhalla"],
+)
+def test_the_first_of_several_routes_is_taken_and_said(read, answer):
+    with pytest.warns(UserWarning, match="the first of 2 routes is taken"):
+        assert joined(read(answer)).length == pytest.approx(samples.LENGTHS, abs=1.0)
 
 
 def test_legs_of_several_waypoints_follow_each_other(read):
@@ -200,6 +252,14 @@ def test_legs_of_several_waypoints_follow_each_other(read):
                 {"sections": [{"summary": {"length": 12000}}]},
             )
         ),
+        ({"routes": {"features": []}, "messages": []}, "Google's is none.: known are GeoJSON"),
+        ({"error": {"description": "no route"}}, "found no route: no route"),
+        ({"units": "kilometers", "edges": [{"length": 1, "speed": 0}]}, "speed 0 at part 1"),
+        (
+            {"routes": [{"legs": [{"distance": 9e3, "duration": None}]}]},
+            "length or time is unknown",
+        ),
+        ([{"length_km": 1, "duration_min": 1}], "JSON of no known kind"),
         ({"routes": [{"legs": [{"distance": 9e3, "duration": 2}]}]}, "lengths in m, durations"),
     ],
 )
