@@ -315,6 +315,8 @@ def basis_of(
 
 def as_plan(plan: Any, vehicle: Vehicle, speed_kmh: float | None = None) -> Plan | Legs:
     """The plan of arguments `plan` and `speed_kmh` of `forecast`, or its InputError."""
+    if speed_kmh is not None and not isinstance(plan, str | os.PathLike):
+        raise InputError("speed_kmh is of a track in a file; this plan has its own speeds")
     if isinstance(plan, Plan | Legs):
         return plan
     # Here, for polars, which reads tables, takes a quarter of a second to import.

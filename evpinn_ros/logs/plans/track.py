@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
+import warnings
 from xml.etree.ElementTree import ParseError, XMLParser
 
 import numpy as np
@@ -33,13 +34,17 @@ MILLISECONDS_FROM = 1e11  # as seconds since 1970 it would be the year 5138
 TIMES, SPEEDS = ("coordTimes", "times"), ("speeds",)
 PARTS = ("trkseg", "rte")
 POINTS, DETAILS = ("trkpt", "rtept"), ("ele", "time", "speed")
+SHAPE = "rpt"  # a point of the road between two points of a route, in Garmin's extension
 MOST_PLACES = 2 * MAX_POINTS  # of a GPX file; each takes some 500 bytes, and some have no time
 PIECE = 1 << 16  # bytes
 LEAST_GAP = 60.0  # s between two segments, as for a recorded drive; less is lost reception
+FAR = 1000.0  # m between points, beyond which the road may well bend
+MEETING = 100.0  # m between the ends of two lines that meet
+ALIKE = 1e-3  # degrees, some 100 m, between ends that are the same
 DEEPEST = 100  # nested elements: the parser keeps every open one
 NEITHER = (
-    "its points have neither times nor speeds: say --speed 90km/h (speed_kmh=90), export it with "
-    "times, or give the route as the JSON of its service or as a table of legs"
+    "its points have neither speeds nor times that differ: say --speed 90km/h (speed_kmh=90), "
+    "export it with times, or give the route as the JSON of its service or as a table of legs"
 )
 
 
@@ -54,10 +59,14 @@ class GeoTrack(NamedTuple):
 
 def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
     """Legs between points by times, else by speeds, else at a pace, m/s; or PlanError."""
+    timed = np.isfinite(track.time)
+    if len(np.unique(track.time[timed])) < 2:  # of no use, as those of a file's making
+        timed = np.zeros_like(timed)
+        track = _first_of_alternatives(track._replace(time=np.full(len(timed), np.nan)))
+        timed = timed[: len(track.time)]
     place, time, speed, part = track
     if len(place) < 2:
         raise PlanError("it has no line of two points or more")
-    timed = np.isfinite(time)
     place = place.copy()
     place[timed, :2] = without_wander(place[timed, :2], time[timed])
     if timed.all():
@@ -67,6 +76,7 @@ def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
     if timed.sum() > 1:
         apart, left_out = _pauses(time, apart)
         time = time - left_out
+    _warn_of_ways(steps, apart)
     steps[apart] = 0.0
     if pace is not None and not (timed.any() or np.isfinite(speed).any()):
         speed = np.full_like(speed, pace)
@@ -89,6 +99,35 @@ def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
         seen = time[timed], way_length(*track.place[timed, :2].T)
         legs = replace(legs, commanded=is_trace(*seen))
     return legs
+
+
+def _first_of_alternatives(track: GeoTrack) -> GeoTrack:
+    """The first of lines that all have the same two ends, with a warning; others as they are."""
+    last = np.append(np.flatnonzero(np.diff(track.part)), len(track.part) - 1)
+    first = np.append(0, last[:-1] + 1)
+    ends = track.place[np.array([first, last]), :2] if len(track.part) else np.zeros((2, 0, 2))
+    alike = np.abs(ends - ends[:, :1]).max(initial=0.0) < ALIKE
+    if len(last) < 2 or not alike or np.abs(ends[1] - ends[0]).max() < ALIKE:  # rounds of a loop
+        return track
+    warnings.warn(f"the first of {len(last)} lines with the same ends is taken", stacklevel=4)
+    return GeoTrack(*(column[: last[0] + 1] for column in track))
+
+
+def _warn_of_ways(steps: np.ndarray, apart: np.ndarray) -> None:
+    """Warn of ways between points, m, that no line shows: between lines and far points."""
+    if (gaps := steps[apart]).max(initial=0.0) > MEETING:
+        warnings.warn(
+            f"lines that do not meet, up to {gaps.max() / 1e3:.1f} km apart, follow each other; "
+            "the ways between them are left out",
+            stacklevel=4,
+        )
+    steps = np.delete(steps, apart)
+    if steps[steps > FAR].sum() > 0.5 * steps.sum():
+        warnings.warn(
+            f"points are up to {steps.max() / 1e3:.1f} km apart; the road between them is assumed "
+            "to be straight",
+            stacklevel=4,
+        )
 
 
 def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +153,7 @@ def gpx_track(content: bytes) -> GeoTrack:
     except (ParseError, LookupError, ValueError) as error:  # also for an invalid encoding
         raise PlanError(f"its XML is damaged: {error}") from error
     if not reader.is_gpx:
-        raise PlanError("XML that is no GPX")
+        raise PlanError("XML that is no GPX; export KML, TCX and others as GPX")
     timed = [track for track in tracks if np.isfinite(track.time).any()]
     return next(iter(timed), tracks[0] if len(tracks[0].place) else tracks[1])
 
@@ -141,11 +180,15 @@ class _Gpx:
         if self._depth > DEEPEST:
             raise PlanError(f"its XML is more than {DEEPEST} elements deep")
         self._part += name in PARTS
-        if name in POINTS:
+        if name in (*POINTS, SHAPE):
+            if not {"lat", "lon"} <= attributes.keys():
+                raise PlanError(f"a {name} has no lat or no lon")
             place = {name: attributes[name] for name in ("lat", "lon")}
-            self._point = place | {"part": str(self._part)}
-            self.points[name].append(self._point)
-            if len(self.points[name]) > MOST_PLACES:
+            place["part"] = str(self._part)
+            kind = "rtept" if name == SHAPE else name
+            self.points[kind].append(place)
+            self._point = self._point if name == SHAPE else place
+            if len(self.points[kind]) > MOST_PLACES:
                 raise PlanError(f"more than {MOST_PLACES} points")
 
     def data(self, text: str) -> None:

@@ -209,7 +209,7 @@ def test_the_track_with_times_is_taken_where_a_route_stands_beside_it(read):
 @pytest.mark.parametrize(
     ("track", "reason"),
     [
-        (gpx(times=None), "neither times nor speeds"),
+        (gpx(times=None), "neither speeds nor times"),
         (gpx(CLOCK[::-1]), "time goes back at point 2"),
         (gpx(["soon"] * 5), "'soon' is no time of ISO 8601"),
         ('<!DOCTYPE gpx [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><gpx>&b;</gpx>', "DOCTYPE"),
@@ -220,6 +220,75 @@ def test_what_is_no_track_is_refused_with_the_reason(read, track, reason):
     with pytest.raises(PlanError, match=reason) as error:
         read(track, "track.gpx")
     assert "track.gpx: " in str(error.value)
+
+
+def lines(*bounds, properties=None):
+    """GeoJSON of lines to the north, from one distance, m, to another each, a point each 100 m."""
+    line = [
+        [
+            [11.5, 48 + north / DEGREE]
+            for north in np.linspace(*ends, 1 + abs(ends[1] - ends[0]) // 100)
+        ]
+        for ends in bounds
+    ]
+    features = [
+        {"type": "Feature", "properties": properties or {},
+         "geometry": {"type": "LineString", "coordinates": row}} for row in line
+    ]  # fmt: skip
+    return {"type": "FeatureCollection", "features": features}
+
+
+@pytest.mark.parametrize(
+    ("bounds", "length", "said"),
+    [
+        ([(0, 3000), (3000, 5000)], 5000.0, None),
+        ([(0, 3000), (3000, 0)], 6000.0, None),
+        ([(0, 3000), (0, 3000)], 3000.0, "the first of 2 lines with the same ends"),
+        ([(0, 3000), (9000, 8000)], 4000.0, "up to 6.0 km apart, follow each other"),
+    ],
+    ids=["joined", "there and back", "alternatives", "apart"],
+)
+def test_of_lines_without_times_that_do_not_meet_it_is_said(at_pace, bounds, length, said):
+    legs, warned = at_pace(lines(*bounds))
+    assert legs.length.sum() == pytest.approx(length, rel=1e-3)
+    assert [text for text in warned if said and said in text] == warned
+
+
+def test_points_that_are_far_apart_are_joined_straight_and_that_is_said(at_pace):
+    line = {"type": "LineString", "coordinates": [[11.5, 48.0], [11.5, 48.05], [11.5, 48.1]]}
+    legs, warned = at_pace(line)
+    assert legs.length.sum() == pytest.approx(0.1 * DEGREE)
+    assert warned == [
+        "points are up to 5.6 km apart; the road between them is assumed to be straight"
+    ]
+
+
+def test_a_garmin_route_goes_by_its_shape_not_straight(at_pace):
+    """By its two points alone it is 5.6 km."""
+    corner = (
+        '<extensions><x:RoutePointExtension><x:rpt lat="48.05" lon="11.6"/>'
+        "</x:RoutePointExtension></extensions>"
+    )
+    route = (
+        '<gpx xmlns="http://www.topografix.com/GPX/1/1" xmlns:x="http://www.garmin.com/xmlschemas/'
+        f'GpxExtensions/v3"><rte><rtept lat="48.05" lon="11.5">{corner}<ele>500</ele></rtept>'
+        '<rtept lat="48.1" lon="11.6"/></rte></gpx>'
+    )
+    legs, _ = at_pace(route)
+    east = 0.1 * DEGREE * math.cos(math.radians(48.05))
+    assert legs.length.sum() == pytest.approx(east + 0.05 * DEGREE, rel=1e-3)
+
+
+@pytest.mark.parametrize("clock", [[CLOCK[0], *[None] * 4], [CLOCK[0]] * 5], ids=["one", "same"])
+def test_a_pace_serves_where_the_times_do_not_differ(at_pace, clock):
+    legs, _ = at_pace(gpx(times=clock))
+    assert legs.duration.sum() == pytest.approx(45.0)
+
+
+@pytest.mark.parametrize("content", [gpx(), "length_km,speed_kmh\n1,50\n"], ids=["gpx", "legs"])
+def test_a_pace_that_is_not_used_is_said(at_pace, content):
+    _, warned = at_pace(content)
+    assert warned[-1] == "the speed that was given is not used: this plan has its own"
 
 
 def test_a_degree_is_as_long_as_on_earth():
