@@ -26,7 +26,7 @@ from evpinn_ros.core.energy.plan import (
     refuse,
     sums,
 )
-from evpinn_ros.logs.numbers import POINT, Style, is_missing, style_of, to_floats
+from evpinn_ros.logs.numbers import COMMA, POINT, Style, is_missing, style_of, to_floats
 from evpinn_ros.logs.plans.way import possible_heights
 from evpinn_ros.logs.quantities import ANGLES, score, unit_of, words_of
 from evpinn_ros.logs.survey import data_rows, find_head
@@ -37,6 +37,9 @@ from evpinn_ros.logs.values import in_fractions
 COLUMNS = "columns t_s and speed_mps, or those of legs, length_m and duration_s or speed_kmh"
 FEW = 8  # names listed in an error
 LEAST_RISING = 7  # legs, whose lengths rise by chance once in 5040 plans
+SAID_RISING = 4  # legs, once in 24
+LEAST_SUMMED = 3  # rows of which the last may be a total
+STEEPEST = 0.5  # of any road: 35 % in a street, more on a track
 NEEDED = ("t_s", "speed_mps")
 BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast also has a distance
 Kinds: TypeAlias = Mapping[str, tuple[tuple[str, ...], str]]
@@ -96,14 +99,23 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
 
 
 def _check_each(legs: Mapping[str, np.ndarray]) -> None:
-    """Refuse lengths or durations that rise from row to row: they are counted from the start."""
+    """Refuse, or warn of, columns that seem counted from the start, or that end with a total."""
     for what in ("length", "duration"):
         column = legs.get(what, np.empty(0))
-        if len(column) >= LEAST_RISING and (np.diff(column) > 0.0).all():
-            raise PlanError(
+        if len(column) >= SAID_RISING and (np.diff(column) > 0.0).all():
+            text = (
                 f"each {what} is larger than the one before, as if counted from the start; a leg "
                 "has its own"
             )
+            if len(column) >= LEAST_RISING:
+                raise PlanError(text)
+            warnings.warn(text, stacklevel=4)
+    columns = [legs[what] for what in ("length", "duration") if what in legs]
+    if len(columns[0]) >= LEAST_SUMMED and all(
+        math.isclose(column[-1], column[:-1].sum(), rel_tol=1e-3) for column in columns
+    ):
+        text = "the last leg is as long as all before it together: if it is a total, leave it out"
+        warnings.warn(text, stacklevel=4)
 
 
 def edges_of_columns(given: Mapping[str, Any]) -> Legs:
@@ -132,7 +144,8 @@ def table_plan(path: Path) -> Plan | Legs | None:
     for _, row in islice(data_rows(table, head), MAX_POINTS + 1):
         for name, place in places.items():
             cells[name].append(row[place] if place < len(row) else "")
-    style = style_of(list(chain(*cells.values()))) or POINT
+    usual = COMMA if table.separator == ";" else POINT  # 1,250 alone may be either
+    style = style_of(list(chain(*cells.values()))) or usual
     return plan_of_columns({name: Cells(texts, style) for name, texts in cells.items()})
 
 
@@ -216,6 +229,7 @@ def _in_si(
         numbers["grade"] *= _grade_unit(columns["grade"][0], numbers["grade"])
     if "incline" in numbers:
         numbers["grade"] = np.tan(numbers.pop("incline"))
+    refuse(np.abs(numbers.get("grade", np.empty(0))) > STEEPEST, "no road is so steep", "row")
     for what in numbers.keys() & {"elevation", "start", "end"}:
         here = numbers[what]
         refuse(~np.isnan(here) & ~possible_heights(here), "no road is at this height", "row")

@@ -215,6 +215,41 @@ def test_what_a_drive_s_columns_are_taken_for_is_said(read):
     assert any(text.endswith("not used: wind") for text in texts)
 
 
+@pytest.mark.parametrize("step", [2, 10])
+def test_a_table_of_other_names_says_where_it_is_taken_as_driven(read, step):
+    """Points 2 s apart at 72 km/h took a fifth less than under our names, without a word."""
+    rows = "".join(f"{t},72\n" for t in range(0, 601, step))
+    with pytest.warns(UserWarning, match="read as a drive") as warned:
+        plan = read(f"t_s,speed_kmh\n{rows}", "drive.csv")
+    assert plan.commanded == (step == 2)
+    assert any("taken as driven; --expected" in str(w.message) for w in warned) == plan.commanded
+
+
+def test_a_comma_between_semicolons_is_a_decimal_sign(read):
+    """As thousands, 2.75 km in 2.2 min were 2750 km in 37 h."""
+    legs = read("length_km;duration_min;slope (%)\n1,250;1,000;5,006\n1,500;1,200;5,006\n")
+    assert legs.length.tolist() == [1250.0, 1500.0] and legs.duration.tolist() == [60.0, 72.0]
+    assert legs.climb.sum() == pytest.approx(137.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([(1, 1), (2, 2), (3, 3)], "the last leg is as long as all before"),
+        ([(1, 1), (2, 2), (3, 3), (4, 4)], "as if counted from the start"),
+        ([(1, 1), (1, 1)], None),
+        ([(1, 1), (2, 2), (3, 3.5)], None),
+    ],
+)
+def test_legs_that_seem_counted_twice_are_said(rows, said):
+    columns = dict(zip(("length_km", "duration_min"), zip(*rows, strict=True), strict=True))
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        ev.forecast(columns)
+    texts = [str(warning.message) for warning in warned]
+    assert bool(texts) == bool(said) and all(said in text for text in texts)
+
+
 def test_columns_that_are_not_used_are_named():
     with pytest.warns(UserWarning, match="not used: height, 7, road$"):
         ev.forecast({"t_s": [0, 9], "speed_mps": [9, 9], "height": [1, 2], 7: 0, "road": "A"})
@@ -238,6 +273,7 @@ def test_a_leg_without_length_is_a_stop(read):
             "(length|duration) is (negative|not above 0) at leg 1",
         ),
         ("t_s,speed_mps\n0,0\n5,9\n5,9\n", "time does not rise at point 3"),
+        ("length_km,speed_kmh,grade_percent\n1,50,4\n1,50,5006\n", "no road is so steep at row 2"),
         ("length_m,duration_s\n1.2,150\n12,480\n", "lengths in m, durations in s"),
         ("length_m,duration_s,speed_kmh\n12000,480,900\n", "contradict each other at leg 1"),
         (
