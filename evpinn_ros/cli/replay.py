@@ -1,4 +1,4 @@
-"""`evpinn replay`: recorded drives through the whole chain."""
+"""`evpinn replay`: replays recorded drives through the estimator and the energy account."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ import typer
 from evpinn_ros.bags.writer import BagWriter
 from evpinn_ros.cli.console import (
     command_line,
-    each,
     note,
     progress_bar,
     say,
     show,
+    track,
     write_json,
     writing,
 )
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import (
     TABLE_SUFFIX,
+    KeptStateOption,
     MetricsOption,
     ParamsOption,
     ReportOption,
@@ -83,8 +84,12 @@ def replay(
         ),
     ],
     vehicle: VehicleOption = "generic",
-    mode: Annotated[Mode | None, typer.Option(help="How to learn; hybrid if not given.")] = None,
-    optimizer: Annotated[PaperOptimizer | None, typer.Option(help="For --mode paper.")] = None,
+    mode: Annotated[
+        Mode | None, typer.Option(help="Learning method; hybrid if not given.")
+    ] = None,
+    optimizer: Annotated[
+        PaperOptimizer | None, typer.Option(help="Optimizer of --mode paper.")
+    ] = None,
     params: ParamsOption = None,
     out: Annotated[
         Path | None,
@@ -102,16 +107,12 @@ def replay(
     warm_up: Annotated[
         float, typer.Option(min=0.0, help="Leave the first N seconds out of the scores.")
     ] = WARM_UP,
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            help="Keep what is learned in this file: read at the start if it exists, "
-            "written at the end."
-        ),
-    ] = None,
+    state: KeptStateOption = None,
     rate: Annotated[
         float | None,
-        typer.Option(min=0.01, help="Speed, times real time; as fast as possible if not given."),
+        typer.Option(
+            min=0.01, help="Speed in multiples of real time; if not given, as fast as possible."
+        ),
     ] = None,
     start: StartOption = 0.0,
     duration: Annotated[
@@ -129,8 +130,8 @@ def replay(
     """Replay recorded drives: learn the car, and show where the energy went.
 
     Gives the same numbers as the ROS nodes, without ROS, and scores every prediction. Each drive
-    begins with what the drives before it taught. A log is split into trips where the car was
-    parked or charged. Of a folder, all readable recordings are replayed.
+    starts from what the drives before it taught. A log is split into trips where the car was
+    parked or charged. All readable recordings in a folder are replayed.
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
@@ -166,7 +167,7 @@ def replay(
                     if interruption.asked:
                         break
                     try:
-                        replayed = _one(car, source, folder, lambda: interruption.asked)
+                        replayed = _replay(car, source, folder, lambda: interruption.asked)
                     except InputError as error:
                         if len(folders) == 1:
                             raise
@@ -179,30 +180,30 @@ def replay(
             finally:
                 # If a later drive fails, the results of those before it are kept.
                 written = _write(car, (state, metrics, report), units.units, len(inputs) > 1)
-        if not car.done:
+        if not car.results:
             raise InputError("; ".join(unreadable))
-        if len(car.done) > 1:
+        if len(car.results) > 1:
             _show_together(car, units.units)
-            show(parameter_table(car.done[-1].metrics))
+            show(parameter_table(car.results[-1].metrics))
             say("To see these drives side by side, use evpinn compare.")
-        say(health_line(car.chain.account.gauge, [result.drive for result in car.done]))
-        if (line := record_note(car.done[-1].drive)) is not None:
+        say(health_line(car.chain.account.gauge, [result.drive for result in car.results]))
+        if (line := record_note(car.results[-1].drive)) is not None:
             say(line)
         for line in unreadable:
             note(f"evpinn: not replayed: {line}")
-        if unreadable or not written or any(result.problem for result in car.done):
+        if unreadable or not written or any(result.problem for result in car.results):
             raise typer.Exit(1)
 
 
 def _opened(
     open_input: Callable[[Path], Source], inputs: Sequence[Path], whole: bool
 ) -> tuple[list[Source], list[str]]:
-    """Drives of all inputs, split into trips, and a line for each unreadable; or InputError."""
+    """Trips of all inputs, and a line per unreadable file; InputError if there is no trip."""
     logs: list[Source] = []
     sources: list[Source] = []
     unreadable: list[str] = []
     paths = [path for given in inputs for path in files_of(given)]
-    for path in each("finding columns", paths, "files"):
+    for path in track("finding columns", paths, "files"):
         try:
             logs.append(open_input(path))
         except InputError as error:
@@ -211,9 +212,9 @@ def _opened(
     drives = logs if whole else joined(logs)
     if len(drives) < len(logs):
         note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
-    for log in each("finding trips", drives, "logs"):
+    for log in track("finding trips", drives, "logs"):
         try:
-            # Of many, what was read would wait for long.
+            # Blocks of many logs, kept until their replay, would fill the memory.
             trips, charged = split(log, whole=whole, ahead=len(drives) == 1)
         except InputError as error:
             unreadable.append(str(error))
@@ -227,7 +228,7 @@ def _opened(
     return sources, unreadable
 
 
-def _one(
+def _replay(
     car: CarReplay, source: Source, folder: Path | None, stopped: Callable[[], bool]
 ) -> Replayed:
     with ExitStack() as stack:
@@ -243,7 +244,7 @@ def _one(
 def _show_briefly(
     result: Replayed, source: Source, vehicle: Vehicle, said: set[str], units: Units
 ) -> None:
-    """Print a line for one of many drives, and doubts that were not `said` of an earlier one."""
+    """Print a line for one of many drives, and its doubts that are not in `said`."""
     metrics = result.metrics
     if result.problem:
         note(f"evpinn: {result.problem}")
@@ -291,9 +292,10 @@ def _show(
 
 def _show_together(car: CarReplay, units: Units) -> None:
     breakdown = car.breakdown()
-    names = short_names([Path(result.metrics["input"]["path"]) for result in car.done])
+    names = short_names([Path(result.metrics["input"]["path"]) for result in car.results])
     named = [
-        (name, result.drive, result.metrics) for name, result in zip(names, car.done, strict=True)
+        (name, result.drive, result.metrics)
+        for name, result in zip(names, car.results, strict=True)
     ]
     rows = drives_rows(named, breakdown, units)
     table = PlainTable("Drives", drives_columns(units), rows, words=("took most",))
@@ -311,14 +313,14 @@ def _show_breakdown(breakdown: Mapping[str, Any], units: Units, of: str = "the e
 
 
 def parameter_table(metrics: Mapping[str, Any], truth: Parameters | None = None) -> PlainTable:
-    """Live value, 1-sigma, prior share and state of each parameter, and the truth if known."""
+    """Live value, 1-sigma, prior share and status of each parameter, and its truth if given."""
     columns = parameter_columns(truth)
     rows = parameter_rows(metrics, truth)
     return PlainTable("Parameters of the car", columns, rows, words=("state",))
 
 
 def score_table(drive: Drive, metrics: Mapping[str, Any], warm_up: float = WARM_UP) -> PlainTable:
-    """Scores of power and energy, with the baselines that say what they are worth."""
+    """Scores of predicted power, beside those of the baselines."""
     title = f"Power, predicted before it was learned from; the first {warm_up:.0f} s not scored"
     return PlainTable(title, SCORE_COLUMNS, score_rows(drive, metrics, warm_up))
 
@@ -329,7 +331,7 @@ def _write(
     units: Units,
     several: bool,
 ) -> bool:
-    if not car.done:
+    if not car.results:
         return True
     state, metrics, report = files
     jobs: list[tuple[Path | None, Callable[[Path], None]]] = [
@@ -350,8 +352,8 @@ def _write(
 
 
 def _write_metrics(path: Path, car: CarReplay, several: bool) -> None:
-    several |= len(car.done) > 1
-    drives = car.metrics() if several else [car.done[0].metrics]
+    several |= len(car.results) > 1
+    drives = car.metrics() if several else [car.results[0].metrics]
     if path.suffix == TABLE_SUFFIX:
         write_file(path, metrics_csv(drives))
     else:
@@ -362,8 +364,8 @@ def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     # Imported here: pictures take longer to import than everything else together.
     from evpinn_ros.report.drive_page import write_replayed
 
-    of_all = car.breakdown() if len(car.done) > 1 else None
+    of_all = car.breakdown() if len(car.results) > 1 else None
     gauge = car.chain.account.gauge
     write_replayed(
-        path, car.done, car.vehicle, car.options, command_line(), units, of_all, gauge=gauge
+        path, car.results, car.vehicle, car.options, command_line(), units, of_all, gauge=gauge
     )

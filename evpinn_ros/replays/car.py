@@ -1,4 +1,4 @@
-"""Replay of one car's drives in order, for the command and for Python."""
+"""Replays the drives of one car in order, for the command line and for Python."""
 
 from __future__ import annotations
 
@@ -48,15 +48,18 @@ class CarReplay:
         state: Path | None = None,
         keep_drives: bool = False,
     ) -> None:
-        """Begin at the priors, or at the state in an existing file; or InputError.
+        """Start from the priors, or from `state` if that file exists.
 
-        With `keep_drives` each breakdown is kept to be compared, and no jump of time resets.
+        With `keep_drives` the breakdown of each drive is kept, and no jump of time resets.
+
+        Raises:
+            InputError: the vehicle, a parameter or a file is wrong.
         """
         # One thread, so that results repeat bit by bit, and other cores stay free.
         limit_blas_threads()
         self.vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         self.options = options  # of every replay
-        self.done: list[Replayed] = []  # the results so far
+        self.results: list[Replayed] = []  # of the drives so far
         self._before: list[EndedDrive] = []  # parts of all drives but the last
         values = _parameters(params, mode, optimizer)
         self._mounting = imu_mounting(values)
@@ -66,11 +69,11 @@ class CarReplay:
         self._mode = settings.mode
         self.chain = Chain(
             self.vehicle, settings, InlineWorker(time.perf_counter), jump_rule(values)
-        )  # the cores, with their learned state
+        )
         self.missing = _restore(self.chain, state)  # a line if half of the state was missing
 
     def open(self, path: Path, options: ReadOptions = READ_DEFAULTS) -> Source:
-        """Open a drive as `open_source` does, with the mounting of the IMU by parameter."""
+        """Open a drive as `open_source` does, with the parameter `imu_rotation_rpy`."""
         return open_source(path, self.vehicle, replace(options, mounting=self._mounting))
 
     def replay(
@@ -82,7 +85,7 @@ class CarReplay:
         stopped: Callable[[], bool] = lambda: False,
     ) -> Replayed:
         """Replay the next drive, as `run.replay` does."""
-        if self.done:
+        if self.results:
             self._before += self.chain.estimator.drive()
             self.chain.begin_next_drive()
         replayed = replay(
@@ -95,11 +98,11 @@ class CarReplay:
             progress=progress,
             stopped=stopped,
         )
-        self.done.append(replayed)
+        self.results.append(replayed)
         return replayed
 
     def breakdown(self) -> dict[str, Any]:
-        """The energy breakdown of all drives together, as in the metrics of each."""
+        """The breakdown of all drives together, as in the metrics of a drive."""
         estimator = self.chain.estimator
         mass = estimator.parameters().parameters["mass"].trust
         of_all = estimator.breakdown(self._before)
@@ -107,28 +110,28 @@ class CarReplay:
         return with_left_out(metrics, self.totals())
 
     def totals(self) -> dict[str, Any]:
-        """Totals of all drives together, as in the metrics of each."""
-        return totals([replayed.drive for replayed in self.done])
+        """Totals of all drives together, as in the metrics of a drive."""
+        return totals([replayed.drive for replayed in self.results])
 
     def metrics(self) -> list[dict[str, Any]]:
-        """Values of `--metrics` of each drive; the last has those of all drives too."""
+        """Values of `--metrics` of each drive; the last also has those of all drives together."""
         together = {
             "totals": self.totals(),
             "breakdown": self.breakdown(),
-            "trends": trend_metrics([replayed.drive for replayed in self.done]),
+            "trends": trend_metrics([replayed.drive for replayed in self.results]),
         }
-        drives = [{**replayed.metrics, "together": None} for replayed in self.done]
+        drives = [{**replayed.metrics, "together": None} for replayed in self.results]
         drives[-1]["together"] = together
         return drives
 
     def at_next_drive(self) -> OnlineEstimator:
-        """A copy of the estimator as it would begin the next drive; the present drive goes on."""
+        """A copy of the estimator as it would start the next drive."""
         estimator = deepcopy(self.chain.estimator)
         estimator.begin_next_drive()
         return estimator
 
     def write_state(self, path: Path) -> None:
-        """Write the learned state and the account, as they begin the next drive."""
+        """Write learned state and account as they start the next drive; OSError if that fails."""
         account = EnergyAccount(
             EnergyMeter(load_rknn()), self.vehicle.key, self.vehicle.battery_capacity
         )
@@ -147,7 +150,7 @@ def mode_of(name: str) -> Mode:
 
 
 def _restore(chain: Chain, state: Path | None) -> str | None:
-    """Go on from a state file if it exists; returns a line if half of it is missing."""
+    """Continue from a state file if it exists; returns a line if half of it is missing."""
     if state is None:
         return None
     with read_for_a_person(state):
@@ -160,7 +163,7 @@ def _restore(chain: Chain, state: Path | None) -> str | None:
     if learned is not None or counted is not None:
         chain.begin_next_drive()  # the saved drive was on another road
     if counted is not None and learned is None:
-        missing = missing or f"{state}: not there; its energy account is, and goes on"
+        missing = missing or f"{state}: has only an energy account, which is continued"
     return missing or uncounted
 
 
@@ -175,6 +178,6 @@ def _parameters(
         values["mode"] = mode.value
     if optimizer is not None:
         if values["mode"] != Mode.PAPER.value:
-            raise InputError("--optimizer: mode paper alone has the choice; add --mode paper")
+            raise InputError("--optimizer needs --mode paper")
         values["paper_optimizer"] = optimizer.value
     return values

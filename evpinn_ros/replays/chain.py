@@ -1,4 +1,4 @@
-"""The chain of cores from readings to power, parameters and energy, as in the three nodes."""
+"""Estimator and energy account in one process, with the results of the nodes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ChainOutput: TypeAlias = Output | Breakdown | EnergyState | AccountSummary
 
 
 class Chain:
-    """Estimator, followed by the energy account."""
+    """The estimator, whose outputs go to the energy account."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class Chain:
         worker: InlineWorker,
         rule: JumpRule = DEFAULT_RULE,
     ) -> None:
-        """Start at the vehicle's priors and zero energy; the worker computes updates."""
+        """Start from the vehicle's priors and zero energy; `worker` computes updates."""
         self.estimator = OnlineEstimator(vehicle, settings, worker)
         self._rule, self._guard = rule, StampGuard(SpeedReading)
         self._start: Mapping[str, Any] | None = None  # learned state when the drive began
@@ -56,7 +56,7 @@ class Chain:
 
     @property
     def dropped(self) -> Counter[str]:
-        """Counts of refused readings of this drive, and of those stopped by the guard of time."""
+        """Counts of readings of this drive that were refused or held by the guard, by reason."""
         guard = self._guard.dropped + Counter(stamp_leaps=self._guard.held)
         return guard + self.account.refused
 
@@ -87,7 +87,7 @@ class Chain:
         """Take admitted readings; `account.count` then returns the states of the account."""
         outputs = self.estimator.add_block(block)
         self._give(block, outputs)
-        self._know_usual(self.estimator.model())
+        self._set_usual(self.estimator.model())
         return outputs
 
     def read_rest(self) -> Outputs:
@@ -114,14 +114,16 @@ class Chain:
         usual = self.estimator.model()
         outputs = self.estimator.add_block(block, breakdowns=breakdowns)
         self._give(block, outputs)
-        yield from self._told(outputs, usual)
+        yield from self._account_outputs(outputs, usual)
 
     def take_rest(self) -> Iterator[tuple[int, ChainOutput]]:
         """`take_block` for the waiting readings of a finished drive."""
         usual = self.estimator.model()
-        yield from self._told(self.read_rest(), usual)
+        yield from self._account_outputs(self.read_rest(), usual)
 
-    def _told(self, outputs: Outputs, usual: CarModel | None) -> Iterator[tuple[int, ChainOutput]]:
+    def _account_outputs(
+        self, outputs: Outputs, usual: CarModel | None
+    ) -> Iterator[tuple[int, ChainOutput]]:
         """Outputs of the estimator, followed by those of the account, in order of stamps."""
         rows: list[tuple[int, ChainOutput]] = [*outputs.in_order()]
         rows += (
@@ -138,10 +140,10 @@ class Chain:
             at_ns = completed_ns.get(due_ns, due_ns)
             while models and models[0][0] < at_ns:
                 _, usual = models.pop(0)
-            self._know_usual(usual)
+            self._set_usual(usual)
             rows.append((at_ns, self.account.show()))
         rows += self._states(LATER, completed_ns)
-        self._know_usual(self.estimator.model())
+        self._set_usual(self.estimator.model())
         yield from sorted(rows, key=itemgetter(0))
 
     def _states(
@@ -151,11 +153,11 @@ class Chain:
         for state in self.account.count(until_ns).rows():
             yield completed_ns.get(state.stamp_ns, state.stamp_ns), state
 
-    def _know_usual(self, car: CarModel | None) -> None:
+    def _set_usual(self, car: CarModel | None) -> None:
         self.account.usual = math.nan if car is None else usual_cost(car)
 
     def jump(self) -> None:
-        """After a jump of time: join nothing across it, and begin anew if the rule says so."""
+        """Handle a jump of time: join nothing across it; by the policy `reset`, start anew."""
         if self._rule.policy is not JumpPolicy.RESET:
             self.estimator.handle_time_jump()
             self.account.begin_after_jump()

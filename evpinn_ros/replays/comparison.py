@@ -1,4 +1,4 @@
-"""Compares drives of one car: one chain learns from all of them, and keeps their breakdowns."""
+"""Compares drives of one car by breakdowns from one model, learned from all of them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def distance_until(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 
 def over_distance(drive: Drive, points: int, units: Units = METRIC) -> DriveCurves:
-    """The course of a drive at `points` even distances."""
+    """Curves of a drive at `points` even distances."""
     time, metres = distance_until(drive)
     at = np.linspace(0.0, metres[-1], points)
     moments = np.interp(at, metres, time)
@@ -66,7 +66,7 @@ Bar = Callable[[Source], AbstractContextManager[Progress]]
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Drives side by side; the others are compared with the first."""
+    """Drives of one car; each other drive is compared with the first."""
 
     vehicle: Vehicle  # of all drives
     paths: tuple[Path, ...]  # input of each drive
@@ -105,9 +105,10 @@ class Comparison:
 
 
 def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comparison:
-    """Replay all drives with a new car (with `keep_drives`), beginning with the reference.
+    """Replay all drives, the reference first, with a new `car` made with `keep_drives`.
 
-    InputError: a drive is too short, or its battery was not measured, or in mode paper.
+    Raises:
+        InputError: a drive is too short, its battery was not measured, or the mode is paper.
     """
     breakdowns = _breakdowns(car)
     paths: list[Path] = []
@@ -125,11 +126,11 @@ def compare(car: CarReplay, sources: Iterable[Source], *, progress: Bar) -> Comp
         vehicle=car.vehicle,
         paths=tuple(paths),
         names=short_names(paths),
-        drives=tuple(replayed.drive for replayed in car.done),
+        drives=tuple(replayed.drive for replayed in car.results),
         breakdowns=breakdowns.joined(
             owners + owners[-1:] * (len(breakdowns.drives) - len(owners))
         ),
-        problems=tuple(replayed.problem for replayed in car.done if replayed.problem),
+        problems=tuple(replayed.problem for replayed in car.results if replayed.problem),
     )
 
 

@@ -1,4 +1,4 @@
-"""Energy and distance of a drive in the time when both are known."""
+"""Distance, time and measured energy of a drive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED
 from evpinn_ros.replays.history import Drive, lone_speeds
 from evpinn_ros.replays.scoring import Span, known_at
 
-LEAST_CHANGE = 0.005  # share of distance or energy due to lone readings
+LEAST_CHANGE = 0.005  # share of distance or energy; a smaller one due to outliers is not reported
 
 
 class DrivenSteps(NamedTuple):
@@ -40,7 +40,7 @@ class Counted(NamedTuple):
 
 
 def counted(drive: Drive) -> Counted:
-    """Totals of a drive: the figures in all texts and pages."""
+    """Totals of a drive, as all texts and pages show them."""
     moved = travelled(drive)
     steps, charging = _battery_steps(drive)
     drawn = chosen_rows(steps, ~charging)
@@ -55,7 +55,7 @@ def counted(drive: Drive) -> Counted:
 
 
 def without_lone(drive: Drive) -> tuple[Counted, int] | None:
-    """Totals without lone outliers, and the number of these; None if that changes little."""
+    """Totals without lone outliers, and their number; None if the totals hardly change."""
     rows = rising(drive.speed)
     lone_speed = lone_speeds(*rows.T)
     lone = drive.lone if len(drive.lone) == len(drive.measured) else np.zeros(0, dtype=bool)
@@ -82,7 +82,7 @@ def measured_steps(drive: Drive) -> DrivenSteps:
 
 
 def charged(drive: Drive, span: Span | None = None) -> float:
-    """Energy from a charger while the car stood, J, in all or a part of the drive."""
+    """Energy from a charger while the car stood, J, in the drive or a span of it."""
     steps, charging = _battery_steps(drive)
     if span is not None:
         charging &= span.holds(steps.end)

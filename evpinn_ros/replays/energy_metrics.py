@@ -1,4 +1,4 @@
-"""Energies as metrics in units for people: breakdown of a drive, account of a car."""
+"""Metrics of energy: breakdown of a drive, account of a car; in kWh, kWh/100 km and km."""
 
 from __future__ import annotations
 
@@ -28,11 +28,9 @@ MEANINGS: Mapping[str, str] = {
 }
 PAPER = "unknown, because mode paper cannot separate losses from electrical loads"
 NOTHING = (
-    "unknown, because nothing could be learned from this drive: it takes some seconds of driving "
-    "with both speed and battery"
+    "unknown, because nothing could be learned from this drive: that takes some seconds of "
+    "driving with both speed and battery measured"
 )
-
-
 INVALID = (
     "unknown, because the learned mass is invalid: signals contradict each other, or --vehicle "
     "is wrong"
@@ -42,7 +40,7 @@ INVALID = (
 def breakdown_metrics(
     breakdown: Breakdown | None, mode: str, mass: str = Trust.VALID.value
 ) -> dict[str, Any]:
-    """Values of `--metrics` under `breakdown`; null with the reason if unknown."""
+    """Values of `--metrics` under `breakdown`; None, and the reason, if unknown."""
     if breakdown is None:
         nothing = dict.fromkeys(Amount.__dataclass_fields__)
         rows: dict[str, Any] = {name: dict(nothing) for name in MEANINGS}

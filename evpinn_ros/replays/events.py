@@ -1,4 +1,4 @@
-"""Events of a drive that explain its curves."""
+"""Events of a drive, such as gaps, jumps of time and changes of payload."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Event(NamedTuple):
 
 
 def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event]:
-    """The events of a drive in order; one is the time, s, from which the battery is withheld."""
+    """The events of a drive in order of time; the battery is withheld from `withheld_from`, s."""
     events = [*_gaps(drive), *_resets(drive), *_payloads(drive), *_signal_faults(drive.detections)]
     if withheld_from is not None and withheld_from < drive.duration:
         text = "From here on the battery was hidden from the estimator."
@@ -52,7 +52,7 @@ def drive_events(drive: Drive, withheld_from: float | None = None) -> list[Event
 def _gaps(drive: Drive) -> Iterator[Event]:
     for kind, rows, lost in (
         (EventKind.SPEED_DROPOUT, drive.speed, "nothing was predicted or learned across it"),
-        (EventKind.BATTERY_DROPOUT, drive.measured, "power went on from speed alone"),
+        (EventKind.BATTERY_DROPOUT, drive.measured, "power was predicted from speed alone"),
     ):
         known = np.sort(rows[:, 0])
         times = np.concatenate(([0.0], known, [drive.duration]))
@@ -66,7 +66,7 @@ def _resets(drive: Drive) -> Iterator[Event]:
     steps = np.diff(times)
     recorded = ((times[i + 1], -steps[i]) for i in np.flatnonzero(steps < -CLOCK_STEP))
     for time, back in (*drive.jumps, *recorded):
-        text = f"Stamps went back by {back:.0f} s; all that is integrated over time starts again."
+        text = f"Stamps went back by {back:.0f} s; integrals over time restart."
         yield Event(float(time), EventKind.RESET, text)
 
 

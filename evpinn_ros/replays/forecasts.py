@@ -1,4 +1,4 @@
-"""Compares forecasts with outcomes: parts of a drive as plans, by the model before each part."""
+"""Compares the measured energy of parts of a drive with forecasts made at their start."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class ForecastOutcome(NamedTuple):
 
     @property
     def covered(self) -> bool:
-        """True if the 90 % band of the forecast contains the measured energy."""
+        """Whether the 90 % band of the forecast contains the measured energy."""
         return abs(self.forecast - self.measured) <= GAUSSIAN_QUANTILE * self.sigma
 
 
 def forecast_outcomes(drive: Drive) -> list[ForecastOutcome]:
-    """Outcomes of the parts of a drive between models, each forecast by the model at its start."""
+    """Outcomes of the parts of a drive, each forecast by the model known at its start."""
     ends = [*(known.time for known in drive.models), drive.duration][1:]
     outcomes = (
         forecast_outcome(drive, known, end) for known, end in zip(drive.models, ends, strict=False)

@@ -1,4 +1,4 @@
-"""Record of a replay: time series for scores and charts."""
+"""Collects the time series of a replayed drive, for scores and charts."""
 
 from __future__ import annotations
 
@@ -39,15 +39,16 @@ from evpinn_ros.replays.chain import ChainOutput
 
 BEYOND = 8.0  # sigmas of the open-circuit voltage from its median
 FOLLOWS = 0.5  # largest share of changes of voltage that current does not explain
-# If voltage and current are not simultaneous, as from many dongles, many readings are outliers:
-MOST, NEAR = 0.9, 2.5  # this share must be within so many sigmas, or no reading is lone
-FEW = 30  # readings that are too few
-BESIDE = 7  # readings whose median is compared with a lone one
+# If voltage and current are not simultaneous, as from many dongles, many readings look like
+# outliers: unless this share is within so many sigmas, none counts as one.
+MOST, NEAR = 0.9, 2.5
+FEW = 30  # readings; so few are not checked
+BESIDE = 7  # readings of the running median
 AT_ONCE = 10_000  # medians computed together
 
 
 def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """Mask of lone outliers of the battery; all of shape (n,), in order of time, V and A."""
+    """Mask of lone outliers among voltages, V, and currents, A, in order of time; shape (n,)."""
     none = np.zeros(len(voltage), dtype=bool)
     volts, amperes = np.diff(voltage), np.diff(current)
     large = np.abs(amperes) > np.median(np.abs(amperes)) if len(voltage) > FEW else none
@@ -68,7 +69,7 @@ def lone_battery(voltage: np.ndarray, current: np.ndarray) -> np.ndarray:
 
 
 def lone_speeds(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Mask of speeds that leap up and back; time, s, and m/s of shape (n,), in order of time."""
+    """Mask of speeds, m/s, that jump away and back; shape (n,) each, in order of `time`, s."""
     leapt, change = leaps(time, speed), np.diff(speed)
     lone = np.zeros(len(time), dtype=bool)
     lone[1:-1] = leapt[1:] & leapt[:-1] & (change[1:] * change[:-1] < 0.0)
@@ -117,16 +118,16 @@ class PowerSeries(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """Detections of the learner from this time on, s since the first reading."""
+    """Detections of the learner, valid from a time on."""
 
-    time: float
+    time: float  # s since the first reading
     report: LearnerReport
 
 
 class KnownModel(NamedTuple):
-    """Model of the car known at this time, s since the first reading."""
+    """The model of the car as known at a time."""
 
-    time: float
+    time: float  # s since the first reading
     model: CarModel
 
 
@@ -177,7 +178,7 @@ class Drive:
 
     @property
     def dated(self) -> bool:
-        """True if the date of the log is known."""
+        """Whether the date of the log is known."""
         without_day = 0 <= self.start_ns - DRIVE_START_NS < DAY_NS
         return self.start_ns >= FIRST_STAMP_NS and not without_day
 
@@ -205,7 +206,7 @@ class History:
         return (moments - (moments if self._start_ns is None else self._start_ns)) / NANOSECONDS
 
     def moment(self, stamps: Any) -> Any:
-        """Time, s, of stamps after the last jump, on the common axis of all series."""
+        """Stamps after the last jump of time, moved to the common axis of all series; ns."""
         return stamps + self._offset_ns
 
     def add_jump(self, jump: Jump) -> None:
@@ -306,7 +307,7 @@ class History:
         self._breakdown = breakdown
 
     def wants_model(self, known_ns: int) -> bool:
-        """True if `MODEL_STEP` has passed since the last model."""
+        """Whether `MODEL_STEP` has passed since the last model."""
         seconds = self.seconds(known_ns)
         return not self._models or seconds - self._models[-1].time >= MODEL_STEP
 

@@ -1,4 +1,4 @@
-"""Replay of recorded drives through the chain, as fast as possible or at a given rate."""
+"""Replays a recorded drive through the chain, as fast as possible or at a given rate."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from evpinn_ros.topics.readings import reading_messages
 
 WARM_UP = 120.0  # s at the start without scores
 BLOCK = 20_000  # readings in a block of the chain
-PAPER_BLOCK = 200  # in `mode: paper`, which takes a second for ten of driving
+PAPER_BLOCK = 200  # in `mode: paper`, which takes 1 s for 10 s of driving
 PROGRESS_STEP = 1.0  # s of the drive between reports of progress
 
 Progress = Callable[[float], None]  # takes the replayed s of the drive
@@ -60,8 +60,8 @@ class ReplayOptions:
 
     def __post_init__(self) -> None:
         times = (self.withhold_battery_after, self.warm_up, self.rate, self.start, self.duration)
-        if not all(seconds is None or 0.0 <= seconds < math.inf for seconds in times):
-            raise InputError("times of a replay are s from 0 on, and its rate is above 0")
+        if self.rate == 0.0 or not all(time is None or 0.0 <= time < math.inf for time in times):
+            raise InputError("times of a replay must be finite and >= 0 s, and its rate above 0")
 
     def seconds_of(self, whole: float | None) -> float | None:
         """Length of the replayed part of a drive of `whole` s; None if unknown."""
@@ -73,11 +73,11 @@ class ReplayOptions:
 
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """Result of one drive: series, metrics, and the problem of its input, if any."""
+    """Result of a replayed drive."""
 
     drive: Drive
     metrics: dict[str, Any]
-    problem: str | None
+    problem: str | None  # why part of the input could not be read
 
 
 def replay(
@@ -167,7 +167,7 @@ def replay(
 
 
 def _too_seldom(drive: Drive) -> str:
-    """Text on the interval of speeds in a drive without any prediction."""
+    """Why a drive has no prediction: number and interval of its speeds."""
     steps = np.diff(drive.speed[:, 0])
     if not steps.size:
         return "there is one speed"
@@ -175,7 +175,7 @@ def _too_seldom(drive: Drive) -> str:
 
 
 def span(blocks: Iterable[Block], start: float, duration: float | None) -> Iterator[Block]:
-    """The readings of a part of a drive, by their stamps: from `start` on, for `duration`, s.
+    """The readings with stamps from `start` on, for `duration`, s, since the first reading.
 
     Reading ends at stamps `STRAGGLING_NS` after the part.
     """
@@ -202,7 +202,7 @@ class _Pace:
         self._started, self._reported = time.perf_counter(), 0.0
 
     def keep(self, now: float) -> None:
-        """Wait until a moment of the drive, s, and report it."""
+        """Wait until `now`, s of the drive, is due, and report it as progress."""
         if self._rate is not None:
             time.sleep(max(0.0, self._started + now / self._rate - time.perf_counter()))
         if self._progress is not None and now - self._reported >= PROGRESS_STEP:
@@ -223,7 +223,7 @@ def _without_withheld(block: Block, history: History, withhold_after: float | No
 def _recorded(
     writer: BagWriter, block: Block, given: Block, chain: Chain, history: History
 ) -> Iterator[str]:
-    """Write readings and their outputs; yields the reason for each reading without a message."""
+    """Write readings and their outputs; yields a reason for each reading that is not written."""
     outputs = [*chain.take_block(given, breakdowns=True)]
     place = 0
     for reading in sorted(block.readings(), key=attrgetter("stamp_ns")):
@@ -271,7 +271,7 @@ def _write(writer: BagWriter, output: ChainOutput, log_time_ns: int, stamp_ns: i
 
 
 def has_battery(drive: Drive) -> bool:
-    """True if a drive has any battery reading."""
+    """Whether a drive has a battery reading."""
     return len(drive.measured) > 0
 
 

@@ -19,7 +19,7 @@ from evpinn_ros.replays.energy_metrics import breakdown_metrics
 from evpinn_ros.replays.history import Drive, PowerSeries
 
 MAX_MEASURED_STEP = 2.5  # s; power is unknown between readings further apart
-GAP_STEPS = 6.0  # for slow readings: the same in their usual steps
+GAP_STEPS = 6.0  # for slow readings: that limit in their usual steps
 # s since the last battery reading, the keys of `by_battery_age`: each extends half way (in
 # logarithms) to its neighbours.
 BATTERY_AGES = (0.1, 1.0, 10.0, 60.0, 600.0)
@@ -124,17 +124,18 @@ def held_scores(drive: Drive, span: Span) -> dict[float, float]:
 
 
 def speed_floor(drive: Drive, span: Span) -> float | None:
-    """Least RMSE, W, that any function of speed alone can have on this drive; None if unknown.
+    """Lowest RMSE, W, that a function of speed alone can have on this drive; None if unknown.
 
-    It uses means in `FLOOR_BINS` bins. The network of `mode: paper` at the newest moment is such a
-    function between updates.
+    It uses means in `FLOOR_BINS` bins. Between updates, the network of `mode: paper` is such a
+    function.
     """
     chosen = scored(drive, drive.smoothed, span)
     if chosen.sum() < 10 * FLOOR_BINS:
         return None
     time = drive.smoothed.time[chosen]
     power = known_at(drive.measured, time)[0]
-    order = np.argsort(np.interp(time, *drive.speed.T), kind="stable")
+    speed = drive.speed[np.argsort(drive.speed[:, 0], kind="stable")]
+    order = np.argsort(np.interp(time, *speed.T), kind="stable")
     rest = [powers - powers.mean() for powers in np.array_split(power[order], FLOOR_BINS)]
     return float(np.sqrt(np.mean(np.concatenate(rest) ** 2)))
 
@@ -152,7 +153,7 @@ def metrics(
     wall: float,
     breakdown: Breakdown | None = None,
 ) -> dict[str, Any]:
-    """All scores of one drive under the contract's keys, as JSON values."""
+    """All scores of a drive under the keys of `--metrics`, as JSON values."""
     document: dict[str, Any] = {
         "input": {
             "path": path,
@@ -183,7 +184,7 @@ def metrics(
 def drive_scores(
     drive: Drive, warm_up: float, withheld_from: float | None = None
 ) -> dict[str, Any]:
-    """Scores of power and energy, separately for the parts before and after withholding begins."""
+    """Scores of power and energy, separately before and while the battery is withheld."""
     end = drive.duration if withheld_from is None else withheld_from
     scores = _part(drive, Span(warm_up, end), Span(-1.0, end))
     if withheld_from is not None:
@@ -202,7 +203,7 @@ def _part(drive: Drive, power: Span, energy: Span) -> dict[str, Any]:
 
 
 def known_at(rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values of a rising series (time, value) at times, and a mask without gaps; (n,) each."""
+    """Values of a series (rising time, value) at times, and mask of those outside gaps; (n,)."""
     if len(rows) < 2:
         return np.full(len(time), np.nan), np.zeros(len(time), dtype=bool)
     after = np.clip(np.searchsorted(rows[:, 0], time), 1, len(rows) - 1)
@@ -212,7 +213,7 @@ def known_at(rows: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def longest_step(time: np.ndarray) -> float:
-    """Longest time between joined readings, s, from their usual step."""
+    """Longest step, s, between readings that is no gap, from their median step."""
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     return max(MAX_MEASURED_STEP, GAP_STEPS * usual)
 

@@ -51,7 +51,7 @@ def _start(drive: Drive) -> str | None:
 
 
 def health(gauge: ChargeGauge) -> dict[str, float | None]:
-    """Values of `--metrics` under `health`: null until the charge has changed enough."""
+    """Values of `--metrics` under `health`: None until the charge has changed enough."""
     if not gauge.learned:
         return dict.fromkeys(("percent", "sigma_percent", "capacity_kwh", "capacity_sigma_kwh"))
     percent, spread = (100.0 * share if gauge.health.known else None for share in gauge.health)
@@ -65,7 +65,7 @@ def health(gauge: ChargeGauge) -> dict[str, float | None]:
 
 
 def with_left_out(breakdown: Mapping[str, Any], total: Mapping[str, Any]) -> dict[str, Any]:
-    """A breakdown with the energy that its intervals lack of the totals, kWh; null if unknown."""
+    """A breakdown with `left_out_kwh`: energy of the totals outside it; None if unknown."""
     energy, measured = total["energy_kwh"], breakdown["measured"]["kwh"]
     left = None if energy is None or measured is None else energy - measured
     return {**breakdown, "left_out_kwh": left}

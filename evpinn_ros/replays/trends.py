@@ -27,9 +27,9 @@ class TrendRow(NamedTuple):
 
     name: str  # of the group
     drives: int  # number of drives
-    distance: float  # of all, m
+    distance: float  # of all drives, m
     mean: float  # of the quantity
-    spread: float  # of single drives, 1-sigma; 0 of one
+    spread: float  # of single drives, 1-sigma; 0 for one drive
 
 
 class Trend(NamedTuple):
@@ -62,7 +62,7 @@ class DrivePoint(NamedTuple):
 
 
 def trends(points: Sequence[DrivePoint], units: Units = METRIC) -> list[Trend]:
-    """Trends with at least two groups, of at least `LEAST_DRIVES` drives; else none."""
+    """Trends with at least two groups; empty below `LEAST_DRIVES` drives."""
     if len(points) < LEAST_DRIVES:
         return []
     ways: list[tuple[str, Callable[[DrivePoint], Group | None]]] = [

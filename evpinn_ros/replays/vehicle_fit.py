@@ -1,4 +1,4 @@
-"""Sentences that doubt whether a drive is of the car in its vehicle file."""
+"""Checks whether a drive contradicts its vehicle file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOST_RIVALS = 3
 
 
 def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
-    """Sentence on a contradiction of the vehicle file, or None; short drives are not checked."""
+    """Sentence on a contradiction of the vehicle file; None without one, or on a short drive."""
     if vehicle.key == GENERIC or drive.duration <= WARM_UP:
         return None
     reasons = [*_mass_reason(vehicle, drive), *_capacity_reason(vehicle, drive)]
@@ -34,7 +34,7 @@ def vehicle_doubt(vehicle: Vehicle, drive: Drive) -> str | None:
 
 
 def size_note(vehicle: Vehicle, drive: Drive) -> str | None:
-    """Sentence on the learned size of the vehicle; None if it is that of the file."""
+    """Sentence on a learned size of the vehicle that is not that of its file, else None."""
     learned_as = vehicle if drive.model is None else drive.model.equation.vehicle
     if learned_as.relative_size == vehicle.relative_size:
         return None
@@ -80,7 +80,7 @@ def _capacity_reason(vehicle: Vehicle, drive: Drive) -> Iterator[str]:
 
 
 def _rivals(drive: Drive) -> Iterator[str]:
-    """Known models with the nearest mass over eta to the learned one, the nearest first."""
+    """Known models whose mass over eta is nearest to the learned one, the nearest first."""
     rows = drive.combinations.get("mass_over_eta")
     if rows is None or not len(rows):
         return

@@ -1,4 +1,4 @@
-"""Breakdown of the energy of a drive as rows and sentences for people."""
+"""Rows and sentences on where the energy of a drive went."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ SHORT = {  # in a column of a table
 # How a sentence on a part begins.
 TOOK = {MEANINGS["slope"]: "climbing took", MEANINGS["brakes"]: "braking lost"}
 SHORTEST_MINUTES = 90.0  # s; what is shorter is given in seconds
-WORTH_SAYING = 0.1  # of a drive; more heating is named, because it can be turned down
+WORTH_SAYING = 0.1  # share of heating from which on it is mentioned: it can be turned down
 # Above this ratio, shares refer to all energy that was spent: a drive downhill takes little in
 # sum, and each of its parts is a multiple of that.
 GAVE_BACK = 1.1  # spent over measured energy
-CONTRADICTED = 3.0  # sigmas of the unexplained energy from which on a warning is shown
+CONTRADICTED = 3.0  # sigmas of unexplained energy from which on a warning is shown
 
 
 class KnownPart(NamedTuple):
-    """A part that took energy, known to two sigmas: kWh, and its share of the drive or of all."""
+    """A part that took energy, above zero by more than two sigmas."""
 
     name: str
     kwh: float
     sigma_kwh: float
-    share: float
+    share: float  # of `_whole`
 
 
 def shown(breakdown: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Parts of a breakdown that the data show, by names for people; joined if not separated."""
+    """(name, amount) of each part that is not zero; parts that the data do not separate joined."""
     groups = {group["parts"][0]: group for group in breakdown["together"]}
     hidden = {name for group in breakdown["together"] for name in group["parts"]}
     rows = []
@@ -70,7 +70,7 @@ def breakdown_rows(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[
 
 
 def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
-    """Sentences on the largest parts, on doubts, and on the driving that the figures cover."""
+    """`breakdown_sentence` and `breakdown_notes`, or why there is no breakdown."""
     if breakdown["unknown"] is not None:
         return [f"Where the energy went: {breakdown['unknown']}."]
     return [
@@ -81,7 +81,7 @@ def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
 
 
 def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:
-    """Sentences on doubts about a breakdown, and on how much driving it is based on."""
+    """Sentences on doubts about a breakdown, and on the driving that it covers."""
     lines = [
         f"These data show {listed([MEANINGS[part] for part in group['parts']])} only as one sum."
         for group in breakdown["together"]
@@ -105,7 +105,7 @@ def breakdown_notes(breakdown: Mapping[str, Any], units: Units = METRIC) -> list
 
 
 def _others(breakdown: Mapping[str, Any]) -> str:
-    """Sentence on energy of the drive that is not taken apart, where its total shows it."""
+    """Sentence on energy outside the breakdown; empty if the rounded total does not show it."""
     rest, measured = breakdown.get("left_out_kwh"), breakdown["measured"]["kwh"]
     if rest is None:
         return ""
@@ -113,7 +113,7 @@ def _others(breakdown: Mapping[str, Any]) -> str:
     total, parts = (f"{kwh:.{digits}f}" for kwh in (measured + rest, measured))
     if total == parts:
         return ""
-    return f" Another {rest:.{kwh_digits(rest, 2)}f} of {total} kWh are not taken apart."
+    return f" Another {rest:.{kwh_digits(rest, 2)}f} of {total} kWh is not broken down."
 
 
 def duration_text(seconds: float) -> str:
@@ -122,7 +122,7 @@ def duration_text(seconds: float) -> str:
 
 
 def known_parts(breakdown: Mapping[str, Any]) -> list[KnownPart]:
-    """Parts that took energy and are known to two sigmas, with shares of `_whole`."""
+    """Parts above zero by more than two sigmas."""
     whole, _ = _whole(breakdown)
     return [
         KnownPart(name, part["kwh"], part["sigma_kwh"], part["kwh"] / whole)
@@ -132,21 +132,21 @@ def known_parts(breakdown: Mapping[str, Any]) -> list[KnownPart]:
 
 
 def _whole(breakdown: Mapping[str, Any]) -> tuple[float, str]:
-    """Energy to which shares refer, kWh, and its name: measured, or spent if most came back."""
+    """Energy to which shares refer, kWh, and its name: what was measured, or what was spent."""
     spent = sum(max(part["kwh"], 0.0) for _, part in shown(breakdown))
     measured = breakdown["measured"]["kwh"]
     return (measured, "the whole") if spent < GAVE_BACK * measured else (spent, "what was spent")
 
 
 def largest_part(breakdown: Mapping[str, Any]) -> KnownPart | None:
-    """The largest part, if known to two sigmas, without speeding up and unexplained."""
+    """The largest part, except `LEFT_OUT`; None if it is below two sigmas."""
     parts = [row for row in shown(breakdown) if row[0] not in LEFT_OUT]
     name, _ = max(parts, key=lambda row: row[1]["kwh"], default=("", {}))
     return next((part for part in known_parts(breakdown) if part.name == name), None)
 
 
 def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
-    """Sentences on the largest part, heating above `WORTH_SAYING`, and descents."""
+    """Sentences on the largest part, much heating, and descents; empty if none is known."""
     _, whole = _whole(breakdown)
     heating = MEANINGS["climate"]
     warmed = [
@@ -168,7 +168,7 @@ def breakdown_sentence(breakdown: Mapping[str, Any]) -> str:
 
 
 def least_of(name: str) -> float:
-    """Lower limit of the energy of a part or of joined parts: no loss is below zero."""
+    """Lower limit of the energy of a part or of joined parts: 0 for losses, else -inf."""
     return 0.0 if set(name.split(TOGETHER)) <= _LOSSES else -math.inf
 
 
@@ -186,7 +186,7 @@ def _amount(kwh: float, sigma_kwh: float) -> str:
 
 
 def _share(share: float) -> str:
-    """A share in words if a simple fraction is within 2 percent of it, else in percent."""
+    """A share in words if within 0.02 of a simple fraction, else in percent."""
     plain = {1 / 10: "a tenth", 1 / 5: "a fifth", 1 / 4: "a quarter", 1 / 3: "a third"}
     plain |= {1 / 2: "half", 2 / 3: "two thirds", 3 / 4: "three quarters"}
     near = min(plain, key=lambda share_of_whole: abs(share_of_whole - share))

@@ -1,4 +1,4 @@
-"""A comparison of drives of one car as rows and sentences, and as a page without a script."""
+"""Rows, sentences and a page that compare drives of one car."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from evpinn_ros.report.breakdown_text import listed, name_of
 from evpinn_ros.report.html import write_page
 from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows
 
-SURE = 2.0  # sigmas of a part beyond which it explains a difference
-WORTH_NAMING = 0.1  # of the difference
+SURE = 2.0  # sigmas beyond which a part explains a difference
+WORTH_NAMING = 0.1  # of the difference; smaller parts against it, or unknown, are not named
 Rows = list[tuple[str, ...]]
 
 
 def part_rows(
     breakdowns: Sequence[Breakdown], *, signed: bool = False, units: Units = METRIC
 ) -> Rows:
-    """Parts and their sum, a column for each breakdown; parts not separated in one are joined."""
+    """Parts and their sum, a column per breakdown; parts that one does not separate are joined."""
     rows = [
         (name_of(parts), [breakdown.of(*parts) for breakdown in breakdowns])
         for parts in common_groups(breakdowns)
@@ -54,7 +54,7 @@ def part_rows(
 
 
 def common_groups(breakdowns: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
-    """The parts, grouped where one of the breakdowns does not separate them."""
+    """All parts, those together in one group that one of the breakdowns does not separate."""
     rows = [{part} for part in list(Part)[WHOLE]]
     for group in [set(group) for breakdown in breakdowns for group in breakdown.together()]:
         joined = group.union(*(row for row in rows if row & group))
@@ -63,7 +63,7 @@ def common_groups(breakdowns: Sequence[Breakdown]) -> list[tuple[Part, ...]]:
 
 
 def trip_rows(comparison: Comparison, units: Units = METRIC) -> Rows:
-    """Length, time and mean speed of each drive, and how much of it is compared."""
+    """Distance, time, mean speed and compared distance, a column per drive."""
     columns = []
     for drive, parts in zip(comparison.drives, comparison.parts(), strict=True):
         steps = travelled(drive)
@@ -97,7 +97,7 @@ def sentences(comparison: Comparison, units: Units = METRIC) -> Iterator[str]:
 
 
 def _explained(difference: Breakdown, units: Units) -> str:
-    """Parts beyond `SURE` that explain a difference, those against it, and those not known."""
+    """Sentences on parts that explain a difference, those against it, and those not known."""
     total = difference.total().kwh
     parts = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
     parts.append((MEANINGS[UNEXPLAINED], difference.amounts()[UNEXPLAINED]))
@@ -135,13 +135,13 @@ def _explained(difference: Breakdown, units: Units) -> str:
 
 
 def _is_shown(amount: Amount, units: Units) -> bool:
-    """True if a part of a difference, or its 1-sigma, does not round to zero."""
+    """Whether a part of a difference, or its 1-sigma, does not round to zero."""
     scale = JOULES_PER_KWH / DIFFERENCE_METRES / units.rate_joules
     return any(round(kwh * scale, _digits(units)) for kwh in (amount.kwh, amount.sigma_kwh))
 
 
 def rate_text(amount: Amount, distance: float, signed: bool = False, units: Units = METRIC) -> str:
-    """Consumption of a part over a distance, m, with its 1-sigma, in `units.rate`."""
+    """Energy of a part over a distance, m, with its 1-sigma, in `units.rate`."""
     digits, scale = _digits(units), JOULES_PER_KWH / distance / units.rate_joules
     value = fixed(amount.kwh * scale, digits, "+" if signed else "")
     return f"{value} +- {amount.sigma_kwh * scale:.{digits}f}"
@@ -162,7 +162,7 @@ CURVES = {
 def write_comparison(
     path: Path, comparison: Comparison, command: str, units: Units = METRIC
 ) -> None:
-    """Write the page; OSError where it cannot be written."""
+    """Write the page; OSError if it cannot be written."""
     parts = comparison.parts()
     write_page(
         path,

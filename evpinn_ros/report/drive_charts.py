@@ -1,4 +1,4 @@
-"""Charts, totals and breakdown of a drive for its page."""
+"""Charts, running totals and breakdown of a drive, as values for its page."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ Chart = dict[str, Any]
 
 
 def line_chart(drive: Drive, name: str, axis: str, rows: np.ndarray, points: int) -> Chart:
-    """One series, time and value in the unit of the axis; coloured by its name."""
+    """One series; `rows`, shape (n, 2), are time and value in the unit of `axis`."""
     time, values = rows.T
     grid = grid_for(time, drive.duration, points)
     return _time_chart(grid, axis, 1, [_line(name, name, time, values, grid)])
@@ -86,7 +86,7 @@ def error_chart(drive: Drive, points: int) -> Chart:
 
 
 def energy_chart(drive: Drive, steps: DrivenSteps, points: int) -> Chart:
-    """Energy since the start: measured, predicted with its 90 % band, by the RK network."""
+    """Energy since the start: measured, predicted with its 90 % band, and the RKNN's."""
     time, predicted, rknn, sigma = drive.energy.T
     grid = grid_for(time if len(time) else drive.speed[:, 0], drive.duration, points)
     half = GAUSSIAN_QUANTILE * sigma
@@ -100,7 +100,7 @@ def energy_chart(drive: Drive, steps: DrivenSteps, points: int) -> Chart:
 
 
 def parameter_chart(drive: Drive, name: str, truth: Parameters | None, points: int) -> Chart:
-    """One parameter with 1-sigma, its truth if known, and its prior share for the legend."""
+    """One parameter with 1-sigma, its truth if known, and its prior share."""
     time, value, std, share = drive.parameters[name].T
     grid = grid_for(time, drive.duration, points)
     lines = _with_band("estimate", time, value, std, 1.0, grid)
@@ -111,7 +111,7 @@ def parameter_chart(drive: Drive, name: str, truth: Parameters | None, points: i
 
 
 def share_chart(drive: Drive, points: int) -> Chart:
-    """Share of the prior in each parameter, percent over time: one strip each."""
+    """Prior share of each parameter over time, percent: a strip per parameter."""
     any_time = next(iter(drive.parameters.values()))[:, 0]
     grid = grid_for(any_time, drive.duration, points)
     strips = [
@@ -122,7 +122,7 @@ def share_chart(drive: Drive, points: int) -> Chart:
 
 
 def outcome_chart(parts: Iterable[ForecastOutcome]) -> Chart:
-    """Each part of the drive: begin and end, s; energy measured, forecast, and half its band."""
+    """Begin, end, s, and measured energy, forecast and half of its 90 % band, Wh, of each part."""
     rows = [
         [
             *part.span,
@@ -154,14 +154,14 @@ def _with_band(
 
 
 LEAST_DISTANCE = 100.0  # m in a bin of speed from which on its energy is shown
-LEAST_SHARE = 0.02  # of the drive, likewise: passing through a speed is not driving at it
-SHOWN_SPEED = 36.0  # m/s, up to which steady speeds are shown, even of slow drives
+LEAST_SHARE = 0.02  # of the drive's distance, likewise: less only passes through a speed
+SHOWN_SPEED = 36.0  # m/s, up to which steady speeds are shown at least
 
 
 def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units: Units) -> Chart:
-    """Energy over distance by speed: measured in bins, and steady on a flat road.
+    """Energy over distance by speed: measured in bins, and predicted at steady speeds.
 
-    The first bin, of crawling, would show standing load alone, so it is left out.
+    The lowest bin is left out, because it shows little but the standing load.
     """
     width = units.speed_step
     speeds = steps.speed * units.speeds
@@ -192,7 +192,7 @@ def speed_energy_chart(drive: Drive, vehicle: Vehicle, steps: DrivenSteps, units
 def running_totals(
     travelled: DrivenSteps, measured: DrivenSteps, duration: float, points: int
 ) -> Chart:
-    """Running totals over time: distance, m, in s; where power was measured distance and J."""
+    """Running totals over time: distance, m, driving time, s, and measured distance and energy."""
     time = np.linspace(0.0, max(duration, 1.0), points)
 
     def total(steps: DrivenSteps, values: np.ndarray) -> dict[str, object]:
@@ -210,7 +210,7 @@ def running_totals(
 
 
 def _steady_power(car: PowerModel, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Power on a flat road without wind and its 1-sigma, W, as of dropouts, shape (n,)."""
+    """Power, W, at steady speeds on a flat road without wind, and its 1-sigma; shape (n,) each."""
     steps = even_steps(np.ones_like(speed), speed, 0.0 * speed)
     rows = car.rows(steps, Weather(car.density(), start=WARM))
     variance = car.car.trust * ((rows @ car.car.covariance) * rows).sum(-1)
@@ -218,7 +218,7 @@ def _steady_power(car: PowerModel, speed: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def breakdown_values(breakdown: Mapping[str, Any], units: Units) -> dict[str, Any]:
-    """Values for `breakdown.html.j2`, from the metrics under `breakdown`, biggest part first."""
+    """Values for `breakdown.html.j2`, from the metrics under `breakdown`, largest part first."""
     if breakdown["unknown"] is not None:
         return {"sentence": "", "notes": breakdown_lines(breakdown), "rows": [], "parts": []}
     parts = sorted(shown(breakdown), key=lambda part: -part[1]["kwh"])
@@ -233,7 +233,7 @@ def breakdown_values(breakdown: Mapping[str, Any], units: Units) -> dict[str, An
 
 
 def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> IntervalRow:
-    """A part: kWh, its interval of 90 % in words, energy over distance."""
+    """A part with its 90 % interval; the text also has the energy over distance."""
     kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
     least = least_of(name)
     value, low, high = (

@@ -1,4 +1,4 @@
-"""Maps over speed and acceleration of a drive's data coverage and its prediction errors."""
+"""Charts of a drive's road, and of its data coverage and errors by speed and acceleration."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from evpinn_ros.replays.scoring import Span, known_at, longest_step, scored
 from evpinn_ros.report.drive_charts import KILO, Chart
 from evpinn_ros.report.thinning import packed
 
-HALF_SPAN = 0.5  # s on each side, over which acceleration is taken
+HALF_SPAN = 0.5  # s on each side over which acceleration is a difference of speeds
 ACCELERATION_CELL, ACCELERATION_AXIS = 0.25, "acceleration, m/s²"
-LARGEST_SPEED, LARGEST_ACCELERATION = 300.0 / 3.6, 5.0  # m/s, m/s^2; larger ones count as these
+LARGEST_SPEED, LARGEST_ACCELERATION = 300.0 / 3.6, 5.0  # m/s, m/s^2; larger ones are clipped
 LEAST = 1.0  # s in a cell or bin from which on its error is shown
-DEGREE = 111_195.0  # m of latitude, of the mean radius of the Earth
-ROUTE_POINTS = 500  # evenly along the road
-POINTS = 2500  # of single moments beside their spread
+DEGREE = 111_195.0  # m per degree of latitude
+ROUTE_POINTS = 500  # at most, evenly along the road
+POINTS = 2500  # most moments that `spread_chart` shows
 HARD = 0.5  # m/s^2, above which inertia outweighs road load and auxiliaries
 FAST_SPEED, SLOW_SPEED = 80.0 / 3.6, 5.0 / 3.6  # m/s: drag shows above, auxiliary power below
 
 
 class MeasuredMoments(NamedTuple):
-    """Moments whose power was measured; shape (n,) each."""
+    """Moments whose power was measured; arrays of shape (n,)."""
 
     time: np.ndarray  # s
     speed: np.ndarray  # m/s
     acceleration: np.ndarray  # m/s^2
     seconds: np.ndarray  # that each moment represents
-    error: np.ndarray  # predicted less measured power, kW
+    error: np.ndarray  # predicted minus measured power, kW
 
 
 def moments(drive: Drive) -> MeasuredMoments:
@@ -55,13 +55,13 @@ def moments(drive: Drive) -> MeasuredMoments:
 
 
 def scored_moments(drive: Drive, driven: MeasuredMoments, warm_up: float) -> MeasuredMoments:
-    """The moments that count for scores."""
+    """The moments that are scored."""
     counted = drive.smoothed.time[scored(drive, drive.smoothed, Span(warm_up, drive.duration))]
     return chosen_rows(driven, np.isin(driven.time, counted))
 
 
 def driven_minutes(driven: MeasuredMoments) -> dict[str, float]:
-    """Minutes of the kind of driving that shows each identifiable combination."""
+    """Minutes of the driving that determines each identifiable combination."""
     hard = np.abs(driven.acceleration) > HARD
     kinds = {
         "mass_over_eta": hard,
@@ -74,7 +74,7 @@ def driven_minutes(driven: MeasuredMoments) -> dict[str, float]:
 
 
 def route_map(drive: Drive, steps: DrivenSteps, units: Units) -> Chart:
-    """Map of the road, east and north of its begin, with mean measured power, kW."""
+    """Map of the road, from its start, with mean measured power, kW."""
     rows = rising(drive.position)
     lengths = np.array([np.cos(np.radians(rows[:, 1].mean())), 1.0]) * DEGREE / units.metres
     road = (rows[:, [2, 1]] - rows[0, [2, 1]]) * lengths
@@ -118,7 +118,7 @@ def error_map(driven: MeasuredMoments, units: Units) -> Chart:
 
 
 def spread_chart(driven: MeasuredMoments, against: str, units: Units) -> Chart:
-    """Errors over `speed` or `acceleration`: median and 90 % of each bin, and single moments."""
+    """Errors over `speed` or `acceleration`: quantiles of each bin, and single moments."""
     if against == "speed":
         at, cell, axis = driven.speed * units.speeds, units.speed_step / 2, f"speed, {units.speed}"
     else:
@@ -151,7 +151,7 @@ def _cells(driven: MeasuredMoments, units: Units) -> tuple[np.ndarray, tuple[int
 def _map_chart(
     of: str, values: np.ndarray, shape: tuple[int, int], share: float, units: Units
 ) -> Chart:
-    """Full colour begins at the quantile `share` of the values."""
+    """A map whose colour is full from the quantile `share` of the absolute values on."""
     return {
         "kind": "cells",
         "of": of,

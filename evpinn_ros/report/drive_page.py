@@ -1,4 +1,4 @@
-"""The report of one or several drives: measurements, scores, parameters, forecasts."""
+"""The page of `evpinn replay --report`: measurements, scores, parameters, forecasts."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ from evpinn_ros.report.tables import (
 
 POINTS = 40_000  # of a curve, all drives of a page together: an hour at 10 Hz loses nothing
 LEAST_POINTS = 2_000  # of a curve of one of many drives
-SMALL = 4  # times fewer points for parameters, which come once a second and change slowly
+SMALL = 4  # times fewer points for curves that change slowly
 MOST_EVENTS = 200  # shown
 ZONES = " UTC", ", local time"
-DATED_AT = 5  # column of the list of drives, behind its figures: narrow screens cut off the last
+DATED_AT = 5  # column of the date in the list of drives: narrow screens cut off the last columns
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 LAST_STAMP = 253_402_300_799 * NANOSECONDS  # end of the year 9999, the last of datetime
 
 
 Charts: TypeAlias = Iterator[tuple[str, drive_charts.Chart]]
-COMBINATIONS = {  # combination: what it is, its digits and unit, what kind of driving tells it
+COMBINATIONS = {  # label, format of the value, and the driving that determines it
     "mass_over_eta": ("mass / η", "{:.0f} kg", "speeding up and braking, over 0.5 m/s²"),
     "drag_area_over_eta": ("A C_d / η", "{:.4f} m²", "above {fast}"),
     "c_rr": ("C_rr", "{:.5f}", "steady, {slow} to {fast}"),
@@ -78,12 +78,11 @@ COMBINATIONS = {  # combination: what it is, its digits and unit, what kind of d
 class ReportedDrive:
     """A drive to report."""
 
-    drive: Drive  # its series
-    metrics: Mapping[str, Any]  # its scores (`scoring.metrics`)
-    vehicle: Vehicle  # the car that was driven
+    drive: Drive
+    metrics: Mapping[str, Any]  # from `scoring.metrics`
+    vehicle: Vehicle
     warm_up: float  # s at the start that were not scored
-    # s from which on the battery was withheld, None if it was not
-    withheld_from: float | None = None
+    withheld_from: float | None = None  # s from which on the battery was withheld
     truth: Parameters | None = None  # true parameters of a simulated car
 
 
@@ -98,7 +97,11 @@ def write_replayed(
     *,
     gauge: ChargeGauge,
 ) -> None:
-    """Write the report of replayed drives, with the truth that lies beside simulated ones."""
+    """Write the report of replayed drives, with the true parameters of simulated ones.
+
+    `breakdown` is of all drives together, `gauge` shows the state of health. OSError: the page
+    cannot be written.
+    """
     drives = [
         ReportedDrive(
             drive=replayed.drive,
@@ -122,9 +125,9 @@ def write_drives(
     breakdown: Mapping[str, Any] | None = None,
     health: str = "",
 ) -> None:
-    """Write the report; of several drives each can be opened, the first is open.
+    """Write the report; several drives are collapsible sections, the first of them open.
 
-    `breakdown` and `health` are of all drives together.
+    `breakdown` and the sentence `health` are of all drives together.
     """
     points = max(POINTS // len(drives), LEAST_POINTS)
     names = short_names([Path(drive.metrics["input"]["path"]) for drive in drives])
@@ -166,7 +169,7 @@ def write_drives(
 def _drive(
     name: str, reported: ReportedDrive, points: int, units: Units
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """One drive for the template, and what the page's script draws into it."""
+    """Values of one drive for the template, and for `browser/drive.js`."""
     drive, metrics = reported.drive, reported.metrics
     events = drive_events(drive, reported.withheld_from)
     steps = travelled(drive), measured_steps(drive)
@@ -282,7 +285,7 @@ def _date(drive: Drive) -> str:
 
 
 def drive_tiles(drive: Drive, units: Units) -> Iterator[tuple[str, str]]:
-    """Energy over distance first, then the other figures of the drive."""
+    """(value, label) of each tile: energy over distance first, then the drive's other figures."""
     total = counted(drive)
     if total.known >= CONSUMPTION_METRES:
         whole = total.known > NEARLY_WHOLE * total.distance
@@ -328,19 +331,19 @@ def _distance(metres: float, units: Units) -> str:
 
 
 class CombinationRow(NamedTuple):
-    """A combination: its value at the end, percent left of its prior's 1-sigma, what tells it."""
+    """What is known of an identifiable combination at the end of a drive."""
 
     label: str
-    value: str
-    left: int
-    learned_by: str
-    minutes: str
+    value: str  # with its 1-sigma
+    left: int  # 1-sigma, percent of the prior's
+    learned_by: str  # driving that determines it
+    minutes: str  # of such driving
 
 
 def knowledge(
     vehicle: Vehicle, drive: Drive, minutes: Mapping[str, float], units: Units
 ) -> list[CombinationRow]:
-    """A row for each combination; `minutes` driven of the kind that tells each."""
+    """A row for each combination; `minutes` are those of `driven_minutes`."""
     before = prior_identifiable(vehicle)[1]._asdict()
     return [
         _combination_row(name, drive.combinations[name][-1], before[name], minutes[name], units)

@@ -1,4 +1,4 @@
-"""Readings that were not used, in words."""
+"""Words for readings that were not used."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WORDS = {
     SECOND_PUBLISHER: "readings from a second source of the same signal",
     "soc_pct_out_of_range": "states of charge outside of 0 to 100 %",
     "speed_doubled": "speeds with the same time as another",
-    "speed_leaps": "speeds that leap as no car does",
+    "speed_leaps": "speeds that jump as no car can",
     "speed_late": "speeds that came too late",
     "speed_out_of_range": "impossible speeds",
     "speed_stands_still": "speeds that stand still while the car does not",
@@ -38,13 +38,13 @@ WORDS = {
 
 
 def dropped_text(dropped: Mapping[str, int]) -> str:
-    """List of lost readings by reason; empty if none was lost."""
+    """Counts of lost readings by reason, joined by commas; empty if none was lost."""
     lost = ((count, reason) for reason, count in dropped.items() if reason not in NO_LOSS)
     return ", ".join(f"{count} {_words(reason)}" for count, reason in lost if count)
 
 
 def _words(reason: str) -> str:
-    """A reason for people; a reason that is a sentence is kept."""
+    """Words for a reason; a reason that has spaces is kept."""
     signal, _, value = reason.partition("_sentinel_")
     if value:
         return f"readings of {value} in place of a {signal}"

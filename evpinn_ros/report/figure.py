@@ -1,4 +1,4 @@
-"""Picture of a drive: where its energy went, power, and what data determine of the car."""
+"""Picture of a drive: breakdown, speed, power, energy and identifiable combinations."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ with optional_imports():
 
 
 def recorded_drive(bag: Path) -> Drive:
-    """The series of a bag that was recorded from the nodes, or written by a replay."""
+    """The series of a bag that the nodes or a replay wrote."""
     history, charge = History(), ChargeScale()
     parameters: Any = None
     combined: Any = None
@@ -68,7 +68,7 @@ def recorded_drive(bag: Path) -> Drive:
 
 
 MEASURED, PREDICTED, TRUTH = "0.35", "tab:orange", "tab:green"
-# Wide and pale, so that the measured curve is seen under the predicted one.
+# Wide and pale, to be seen under the predicted curve.
 BELOW: Mapping[str, Any] = {"color": "0.7", "lw": 3.5}
 BAND: Mapping[str, Any] = {"color": PREDICTED, "lw": 0}
 INTERVAL = 1.96  # sigmas to both sides that hold 95 %
@@ -90,7 +90,7 @@ OUTSIDE: Mapping[str, Any] = {
 
 
 def drive_figure(drive: Drive, title: str, truth: Identifiable | None = None) -> Figure:
-    """Draw a drive with its breakdown; the truth of a simulated car is drawn as lines."""
+    """Draw a drive; `truth`, known for a simulated car, is drawn as dashed lines."""
     figure = Figure(figsize=(12, 11.5), layout="constrained")
     figure.suptitle(title, parse_math=False)  # the title may be the name of a file
     grid = figure.add_gridspec(5, 6, height_ratios=(1.35, 0.7, 1.2, 1, 1))
@@ -119,7 +119,7 @@ def drive_figure(drive: Drive, title: str, truth: Identifiable | None = None) ->
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write the picture as PNG."""
+    """Write the picture as PNG; makes its folder if missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as draft:
         figure.savefig(draft, dpi=110, format="png")
@@ -137,8 +137,8 @@ def _draw_breakdown(axes: Axes, amounts: Mapping[str, tuple[float, float]]) -> N
     axes.set_yticks(range(len(names)), [MEANINGS[name] for name in names])
     axes.set_title("Where the energy went, kWh \u00b1 1-sigma", loc="left", fontsize="medium")
     axes.axvline(0.0, color="k", lw=0.8)
-    # A climb that no height shows is unsure by more than the whole drive took: its line goes on
-    # beyond the edge, so that the parts can be seen.
+    # Without heights, the interval of a climb exceeds the energy of the drive. It is cut at the
+    # edge, so that the other parts can be seen.
     drawn = [0.0, *(amounts[name][0] for name in names)]
     if beside := BESIDE_BARS * np.ptp(drawn):
         axes.set_xlim(min(drawn) - beside, max(drawn) + beside)
@@ -162,7 +162,7 @@ def _draw_power(axes: Axes, drive: Drive) -> None:
 
 
 def _draw_energy(axes: Axes, drive: Drive) -> None:
-    """Cumulative energy; the measured one is drawn to start where the predicted one does."""
+    """Cumulative energy, measured and predicted; both start where the prediction starts."""
     energy = drive.energy
     if len(energy) and len(drive.measured) > 1:
         time, power = drive.measured.T

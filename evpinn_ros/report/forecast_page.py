@@ -1,4 +1,4 @@
-"""The page of forecasts: the energy of each plan, its parts, and what would change it."""
+"""The page of `evpinn forecast --report`: energy of each plan, its parts, and variations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEAST_SHOWN = 0.0005  # kWh; less would be shown as 0.000
 
 
 class PlannedTrip(NamedTuple):
-    """A plan to show: its name, its energy, and the energy of variations."""
+    """A plan to show, with the changes of its energy by variations (`what_if`)."""
 
     name: str
     planned: PlannedEnergy
@@ -34,7 +34,7 @@ class PlannedTrip(NamedTuple):
 def write_forecasts(
     path: Path, trips: Sequence[PlannedTrip], assumed: str, command: str, units: Units = METRIC
 ) -> None:
-    """Write the page; `assumed` are sentences on the car and the conditions."""
+    """Write the page, with the sentences `assumed` on car and conditions; OSError if it fails."""
     names = " and ".join(trip.name for trip in trips)
     shown = [_trip(trip, units) for trip in trips]
     title = f"Forecast of {names}"
@@ -93,7 +93,7 @@ def _curves(planned: PlannedEnergy, units: Units) -> Any:
 
 
 def _battery_along(planned: PlannedEnergy, units: Units) -> tuple[str, Curve, bool]:
-    """Charge of the battery along the way, or energy if it is unknown, as `_curves` takes it."""
+    """(title, curve, from_zero) of the charge along the way, or of the energy if it is unknown."""
     energies = planned.energies
     course = energies.on_curve
     shown = np.unique(np.linspace(0, len(course.time) - 1, POINTS).round().astype(int))
@@ -114,7 +114,7 @@ def _battery_along(planned: PlannedEnergy, units: Units) -> tuple[str, Curve, bo
 def speed_along(
     planned: PlannedEnergy, shown: np.ndarray, units: Units = METRIC
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and the speeds there, at points given by their numbers: of legs, mean speeds."""
+    """(distances, speeds) at the points with indices `shown`; steps of mean speed for legs."""
     trip = planned.trip
     along = (trip.distance - trip.distance[0]) / units.metres
     if not isinstance(planned.given, Legs):
@@ -125,7 +125,7 @@ def speed_along(
 
 
 def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
-    """A row a part, the biggest first, with its 90 % interval in percent of the width."""
+    """Values for the macro `intervals`, the largest part first, with 90 % intervals."""
     parts = plan_parts(planned.given, planned.energies, *planned.basis)
     names = [MEANINGS[part.name.lower()] for part in Part] + [UNEVEN]
     rows = [

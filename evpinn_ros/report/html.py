@@ -1,4 +1,4 @@
-"""Makes a self-contained HTML file from a template, with a policy for the browser."""
+"""Writes self-contained HTML pages with a content security policy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from evpinn_ros.common.writer import write_file
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-BROWSER = Path(__file__).with_name("browser")  # what runs in the reader's browser
+BROWSER = Path(__file__).with_name("browser")  # scripts and styles of the pages
 UPLOT = BROWSER / "uplot"  # version 1.6.32 from npm, with its licence
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -23,9 +23,10 @@ TEMPLATES = Path(__file__).with_name("templates")
 def write_page(
     path: Path, template: str, *, title: str, command: str, plots: Any = None, **values: Any
 ) -> None:
-    """Write a page from a template, whose policy runs nothing but the scripts it was made with.
+    """Write a page from a template; its content security policy allows only its own scripts.
 
-    `plots` is what `browser/drive.js` draws, for JSON; None without plots.
+    `plots`, plain values for JSON, is drawn by `browser/drive.js`; None: a page without scripts.
+    OSError: the file cannot be written.
     """
     styles, scripts = [_text(BROWSER / "page.css")], []
     if plots is not None:
@@ -45,7 +46,7 @@ def write_page(
             policy=_policy(scripts),
         )
     )
-    write_file(path, page.encode("utf-8", "replace"))  # a path may have bytes that are no text
+    write_file(path, page.encode("utf-8", "replace"))  # a path may be no UTF-8
 
 
 @cache
@@ -65,12 +66,12 @@ def _templates() -> Environment:
 
 
 def _in_print(value: Any) -> Any:
-    """Text with ± in place of +-, which terminals show; safe markup is kept."""
+    """Text with ± in place of +-, which is for terminals; safe markup is kept."""
     return value.replace("+- ", "± ") if type(value) is str else value
 
 
 def _policy(scripts: Iterable[str]) -> str:
-    """Policy for the browser: run these scripts, use styles and pictures of the page itself."""
+    """Content security policy: only these scripts, and the page's own styles and pictures."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     return (

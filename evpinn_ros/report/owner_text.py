@@ -1,4 +1,4 @@
-"""A replayed drive in an owner's words: kilometres, kilowatt hours, and what took most."""
+"""Sentences and rows on a replayed drive for the car's owner: distance, energy, largest part."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from evpinn_ros.report.breakdown_text import (
 from evpinn_ros.report.tables import signed_percent, watts
 
 NEARLY_WHOLE = 0.99  # share of distance or time from which on nothing is reported as missing
-SPARSE_BATTERY = 10.0  # s between currents, from which on the energy errs by some percent
-LEAST_HEATING = 300.0  # W that a car reports, worth saying
-LARGEST_PERCENT = 100.0
+SPARSE_BATTERY = 10.0  # s between currents from which on the energy errs by some percent
+LEAST_HEATING = 300.0  # W; less reported heating is not mentioned
+LARGEST_PERCENT = 100.0  # error of energy; larger ones are shown in kWh
 SCORES = (
     "RMSE (of power) and error of energy say how well each drive was predicted, moment by moment, "
     "before it was learned from. An error larger than the energy itself is in kWh."
 )
-LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J that a charger gave, worth saying
+LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J; less charged energy is not mentioned
 
 
 def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
@@ -46,7 +46,7 @@ def drives_columns(units: Units = METRIC) -> tuple[str, ...]:
 
 
 def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) -> str:
-    """Length, time and energy of a drive, measured or, where it was not, predicted."""
+    """Sentences on a drive's distance, time and energy, which is predicted if not measured."""
     total = counted(drive)
     kwh, consumption, far, _ = _texts(_figures(drive, total, metrics), units)
     how = "predicted" if metrics["energy"]["measured_j"] is None else "from the battery"
@@ -67,7 +67,7 @@ def owner_line(drive: Drive, metrics: Mapping[str, Any], units: Units = METRIC) 
 
 
 def lone_note(drive: Drive, units: Units = METRIC) -> str | None:
-    """Sentence on single readings that leap, if they change the totals; else None."""
+    """Sentence on lone outliers among the readings, if they change the totals; else None."""
     without = without_lone(drive)
     if without is None:
         return None
@@ -81,7 +81,7 @@ def lone_note(drive: Drive, units: Units = METRIC) -> str | None:
 
 
 def part_text(seconds: float, whole: float) -> str:
-    """A part of a duration such as `11 of 15 min`, with enough digits to tell them apart."""
+    """A part of a duration, s, such as "11 of 15 min", with a digit more if both round alike."""
     unit, name = (60.0, "min") if whole >= SHORTEST_MINUTES else (1.0, "s")
     digits = 0 if round(seconds / unit) != round(whole / unit) else 1
     return f"{seconds / unit:.{digits}f} of {whole / unit:.{digits}f} {name}"
@@ -99,7 +99,7 @@ def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> l
 
 
 def record_note(drive: Drive) -> str | None:
-    """Sentence on how well drives of this car were predicted at their start; else None."""
+    """Sentence on how well earlier drives of this car were forecast at their start, or None."""
     return None if drive.model is None else drive.model.record.sentence
 
 
@@ -167,7 +167,10 @@ def drives_rows(
     breakdown: Mapping[str, Any] | None,
     units: Units = METRIC,
 ) -> list[tuple[str, ...]]:
-    """A row under `drives_columns` for each drive and its metrics, and one of all together."""
+    """A row under `drives_columns` for each (name, drive, metrics); if several, then their sum.
+
+    `breakdown` is of all drives together.
+    """
     figures = [_figures(drive, counted(drive), metrics) for _, drive, metrics in drives]
     rows: list[tuple[str, ...]] = [
         (
@@ -187,7 +190,7 @@ def drives_rows(
 
 
 def _error(energy: Mapping[str, Any]) -> str:
-    """Error in percent, or in kWh where it says more: a drive downhill may take nearly nothing."""
+    """Error in percent, or in kWh above `LARGEST_PERCENT`: a drive may take nearly no energy."""
     percent = energy["error_percent"]
     if percent is None or abs(percent) <= LARGEST_PERCENT:
         return signed_percent(percent)
@@ -208,7 +211,7 @@ class Figures(NamedTuple):
     distance: float  # m
     duration: float  # s
     joules: float  # measured, else predicted; NaN if neither is known
-    metres: float  # distance over which that energy was taken, m
+    metres: float  # m over which `joules` were drawn
 
 
 def _figures(drive: Drive, total: Counted, metrics: Mapping[str, Any]) -> Figures:

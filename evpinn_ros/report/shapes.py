@@ -1,4 +1,4 @@
-"""Shapes that pages draw without a script, for macros: curves, amounts with intervals, trends."""
+"""Values for the macros of `parts.html.j2`: curves, rows with intervals, trends."""
 
 from __future__ import annotations
 
@@ -15,15 +15,12 @@ MOST_TICKS = 6
 
 
 class Curve(NamedTuple):
-    """A line, and half the height of the band around it, or None; shape (n,) each.
+    """A line with an optional band; arrays of shape (n,)."""
 
-    Both end at `limits`.
-    """
-
-    across: np.ndarray
-    up: np.ndarray
-    half: np.ndarray | None = None
-    limits: tuple[float, float] = (-math.inf, math.inf)
+    across: np.ndarray  # x
+    up: np.ndarray  # y, NaN if unknown
+    half: np.ndarray | None = None  # half the height of the band
+    limits: tuple[float, float] = (-math.inf, math.inf)  # of line and band
 
     def at(self, sign: float) -> np.ndarray:
         """The line (0), or the upper (1) or lower (-1) edge of its band."""
@@ -32,7 +29,7 @@ class Curve(NamedTuple):
 
 
 def curve(title: str, lines: Sequence[Curve], *, from_zero: bool) -> dict[str, Any] | None:
-    """Lines for the macro `curve`, or None. NaN is unknown; with `from_zero` the axis has zero."""
+    """Values for the macro `curve`; None if no value is known. `from_zero`: the y axis has 0."""
     spans = [line.at(sign) for line in lines for sign in (-1.0, 1.0)]
     finite = np.concatenate([span[np.isfinite(span)] for span in spans])
     if not len(finite):
@@ -83,13 +80,13 @@ def _share(value: float, axis: Sequence[float]) -> float:
 
 
 class IntervalRow(NamedTuple):
-    """A row: name, text beside it, amount, half of its interval, and lower limit."""
+    """A row of the macro `intervals`."""
 
     name: str
-    text: str
+    text: str  # beside the bar
     value: float
-    half: float
-    least: float = -math.inf
+    half: float  # of the interval's width
+    least: float = -math.inf  # lower limit of the interval
 
     @property
     def low(self) -> float:
@@ -98,7 +95,7 @@ class IntervalRow(NamedTuple):
 
 
 def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
-    """Rows with the places of bar, interval and zero, in percent of a width that holds all."""
+    """Values for the macro `intervals`: bar, interval and zero in percent of the common width."""
     low = min([0.0, *(min(row.value, row.low) for row in rows)])
     high = max([0.0, *(row.value + row.half for row in rows)])
     width = max(high - low, 1e-12)
@@ -123,7 +120,7 @@ def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:
 def trend_intervals(
     points: Iterable[DrivePoint | None], units: Units = METRIC
 ) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Title and rows of each trend, with the spread of single drives as the interval."""
+    """(title, values for the macro `intervals`) of each trend; intervals show single drives."""
     present = [point for point in points if point is not None]
     return [(trend.title, _rows(trend, units)) for trend in trends(present, units)]
 

@@ -1,4 +1,4 @@
-"""The scores and parameters of a replay as rows of text, for terminal and report alike."""
+"""Rows of text on the scores and parameters of a replay, for terminal and report."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ BLANK = ("", "", "")  # cells of a row that has only an RMSE
 
 
 def parameter_columns(truth: Parameters | None) -> tuple[str, ...]:
-    """The columns of `parameter_rows`."""
+    """Titles of `parameter_rows`."""
     true = () if truth is None else ("true value",)
     return ("parameter", "live value", "1-sigma", *true, "prior", "state")
 
 
 def parameter_rows(metrics: Mapping[str, Any], truth: Parameters | None) -> list[tuple[str, ...]]:
-    """Live value, 1-sigma, the truth if known, prior share and state of each parameter."""
+    """Rows under `parameter_columns`, from the metrics under `parameters`."""
     rows = []
     for name, quantity in QUANTITIES.items():
         estimate = metrics["parameters"].get(name)
@@ -36,7 +36,7 @@ def parameter_rows(metrics: Mapping[str, Any], truth: Parameters | None) -> list
 
 
 def score_rows(drive: Drive, metrics: Mapping[str, Any], warm_up: float) -> list[tuple[str, ...]]:
-    """Scores of power under `SCORE_COLUMNS`, with the baselines that say what they are worth."""
+    """Scores of predicted power and of baselines, rows under `SCORE_COLUMNS`."""
     lag = metrics["power"]["lag_s"]
     title = "power/smoothed" if lag is None else f"power/smoothed ({lag:.1f} s later)"
     rows = [
@@ -66,7 +66,7 @@ def score_rows(drive: Drive, metrics: Mapping[str, Any], warm_up: float) -> list
 
 
 def energy_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Energy measured and predicted, a line for the drive and one for its withheld part."""
+    """Measured and predicted energy: a line for the drive, and one for a withheld part."""
     lines = [_energy_line("Energy", metrics["energy"])]
     if "withheld" in metrics:
         lines.append(_energy_line("Energy while withheld", metrics["withheld"]["energy"]))
@@ -74,17 +74,17 @@ def energy_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def watts(value: float | None) -> str:
-    """Text of a power."""
+    """A power, W, as text; "-" for None."""
     return "-" if value is None else f"{value:.0f} W"
 
 
 def watt_hours(joules: float | None) -> str:
-    """Text of an energy."""
+    """An energy, J, as text in Wh; "-" for None."""
     return "-" if joules is None else f"{joules / 3600:.1f} Wh"
 
 
 def signed_percent(value: float | None) -> str:
-    """Text of an error in percent."""
+    """An error in percent as text; "-" for None."""
     return "-" if value is None else f"{fixed(value, 2, '+')} %"
 
 

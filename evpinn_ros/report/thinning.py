@@ -1,4 +1,4 @@
-"""Series for a page: on an even grid, thinned so that peaks stay, two bytes a number."""
+"""Thins series to an even grid that keeps their peaks, and packs them into two bytes a number."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import numpy as np
 
 from evpinn_ros.replays.scoring import longest_step
 
-LEVELS = 65534  # of two bytes, beside "no value"
-NO_VALUE = -32768
+LEVELS = 65534  # of 16 bits, without `NO_VALUE`
+NO_VALUE = -32768  # NaN
 LARGEST = 1e12  # of any unit; larger values could overflow the arithmetic of the levels
-PER_BUCKET = 2  # points kept of a bucket
+PER_BUCKET = 2  # points kept of a bucket: its least and greatest value
 
 
 class Grid(NamedTuple):
-    """Buckets of equal width in time, each of which keeps `PER_BUCKET` points."""
+    """Buckets of equal duration."""
 
     width: float  # of a bucket, s
     buckets: int  # their number
 
     @property
     def times(self) -> dict[str, float | int]:
-        """Times of the kept points: their first, step and number, as the page takes them."""
+        """Start, step, s, and count of the kept points, as `browser/drive.js` reads them."""
         step = self.width / PER_BUCKET
         return {"start": step / 2, "step": step, "count": PER_BUCKET * self.buckets}
 
 
 def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
-    """A grid over a drive of so many s that loses nothing, of `points` at most."""
+    """A grid over `duration`, s, that keeps every sample, or at most `points` points."""
     steps = np.diff(np.unique(time))
     period = float(np.median(steps)) if len(steps) else 1.0
     span = max(duration, period)
@@ -40,7 +40,7 @@ def grid_for(time: np.ndarray, duration: float, points: int) -> Grid:
 def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
     """Least and greatest value of each bucket in order of time, shape (PER_BUCKET * buckets,).
 
-    Buckets between two values that are near enough are filled by a line, others hold NaN.
+    Empty buckets are interpolated over at most `longest_step`; others hold NaN.
     """
     bucket = np.floor(time / grid.width).astype(np.int64)
     bucket[time == grid.width * grid.buckets] = grid.buckets - 1
@@ -59,7 +59,7 @@ def thinned(time: np.ndarray, values: np.ndarray, grid: Grid) -> np.ndarray:
 
 
 def _join(extremes: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid) -> None:
-    """Fill empty buckets between two values that are close enough in time to interpolate."""
+    """Interpolate, in place, empty buckets between values at most `longest_step` apart."""
     empty = np.flatnonzero(np.isnan(extremes[:, 0]))
     middle = (empty + 0.5) * grid.width
     after = np.searchsorted(time, middle)
@@ -70,7 +70,7 @@ def _join(extremes: np.ndarray, time: np.ndarray, values: np.ndarray, grid: Grid
 
 
 def packed(values: np.ndarray) -> dict[str, Any]:
-    """Numbers as base64 of little-endian 16-bit levels; NaN has a level of its own."""
+    """Numbers as base64 of little-endian 16-bit levels: value = low + step * (level + 32767)."""
     values = np.clip(values, -LARGEST, LARGEST)
     finite = np.isfinite(values)
     low = float(values[finite].min()) if finite.any() else 0.0

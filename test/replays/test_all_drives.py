@@ -1,4 +1,4 @@
-"""Several drives of one car: their total, and where the energy of all went."""
+"""Several drives of one car: their total, and where the energy of all drives went."""
 
 from pathlib import Path
 import re
@@ -25,7 +25,7 @@ def car(vehicle, readings) -> CarReplay:
 
 
 def test_the_breakdown_of_all_is_the_sum_of_those_of_the_drives(car):
-    whole, drives = car.breakdown(), [replayed.metrics["breakdown"] for replayed in car.done]
+    whole, drives = car.breakdown(), [replayed.metrics["breakdown"] for replayed in car.results]
     for key in ("distance_m", "duration_s"):
         assert whole[key] == pytest.approx(sum(drive[key] for drive in drives))
     measured = whole["measured"]["kwh"]
@@ -43,7 +43,7 @@ def test_the_breakdown_of_all_is_the_sum_of_those_of_the_drives(car):
 
 
 def test_the_last_row_and_the_page_have_the_totals(car, tmp_path):
-    named = [(d.metrics["input"]["path"], d.drive, d.metrics) for d in car.done]
+    named = [(d.metrics["input"]["path"], d.drive, d.metrics) for d in car.results]
     *rows, total = drives_rows(named, car.breakdown())
     assert total[0] == "all 2" and len(rows) == 2
     for column in (1, 3):  # kWh and km
@@ -53,9 +53,11 @@ def test_the_last_row_and_the_page_have_the_totals(car, tmp_path):
     assert len(drives_rows(named[:1], None)) == 1  # one drive is its own total
     page = tmp_path / "all.html"
     gauge, whole = car.chain.account.gauge, car.breakdown()
-    write_replayed(page, car.done, car.vehicle, car.options, "x", breakdown=whole, gauge=gauge)
+    write_replayed(page, car.results, car.vehicle, car.options, "x", breakdown=whole, gauge=gauge)
     text = re.sub(r"<[^>]*>", " ", page.read_text().partition("<details")[0])
     assert car.vehicle.name in text and "State of health of the battery: not known yet" in text
     # On a narrow screen the first columns are seen: energy, and that over distance.
     assert re.search(r"drive\s+kWh\s+kWh/100 km\s+km\s+min\s+began", text)
-    assert "all 2" in text and "Where the energy of all went" in text and "kWh/100 km" in text
+    assert (
+        "all 2" in text and "Where the energy of all drives went" in text and "kWh/100 km" in text
+    )

@@ -78,7 +78,7 @@ def test_totals_of_two_drives_add_up(tmp_path):
         assert total[name] == pytest.approx(sum_of_both)
     assert (total["start"], total["charge_first_percent"]) == (starts[0], 80.0)
     assert total["charge_last_percent"] == pytest.approx(DRIVES[1].charge[-1] - 20.0, abs=1e-3)
-    named = [("", result.drive, result.metrics) for result in car.done]
+    named = [("", result.drive, result.metrics) for result in car.results]
     assert drives_rows(named, car.breakdown())[-1][1] == f"{total['energy_kwh']:.2f}"
     assert total["kwh_per_100km"] == pytest.approx(1e5 * total["energy_kwh"] / total["measured_m"])
 
@@ -99,12 +99,12 @@ def test_text_and_breakdown_have_one_total(tmp_path):
     """Where speed is missing for a while, the breakdown lacks what the battery gave there."""
     rows = driven(0, BEGIN, 80.0)
     rows[200:230] = [row.replace(row.split(",")[1], "", 1) for row in rows[200:230]]
-    (result,) = replayed(tmp_path, rows).done
+    (result,) = replayed(tmp_path, rows).results
     total, parts = result.metrics["totals"], result.metrics["breakdown"]
     assert parts["measured"]["kwh"] + parts["left_out_kwh"] == pytest.approx(total["energy_kwh"])
     shown = f"{total['energy_kwh']:.2f} kWh"
     assert shown in owner_line(result.drive, result.metrics)
     based = breakdown_lines(parts)[-1]
-    assert (f"of {shown} are not taken apart" in based) == (
+    assert (f"of {shown} is not broken down" in based) == (
         f"{parts['measured']['kwh']:.2f} kWh" != shown
     )

@@ -1,6 +1,6 @@
-"""A simulated car with effects beyond the five parameters, so that finding these is a real test.
+"""A simulated car with effects beyond the estimator's model, so that learning it is a real test.
 
-Unknown to the estimator are its loss map, friction brakes, wind, changing load, rolling resistance
+The estimator does not know its loss map, friction brakes, wind, changing load, rolling resistance
 that grows with speed, and small errors of inertia and air density.
 """
 
@@ -108,8 +108,8 @@ class Battery:
         """
         most = (0.9 * self.nominal_voltage) ** 2 / (4 * self.resistance)
         if not np.max(power) < most:
-            asked = f"{np.max(power) / 1e3:.0f} kW asked, {most / 1e3:.0f} kW is the most"
-            raise InputError(f"the battery of the simulated car is too weak: {asked}")
+            needed = f"{np.max(power) / 1e3:.0f} kW needed, {most / 1e3:.0f} kW available"
+            raise InputError(f"the battery of the simulated car is too weak: {needed}")
         charge = np.full_like(power, self.start)
         for _ in range(4):
             open_circuit = self.nominal_voltage * (0.93 + 0.14 * charge)

@@ -47,7 +47,11 @@ class HillyRoad:
 
 
 def hilly_road(rms_grade: float, rng: np.random.Generator) -> HillyRoad:
-    """A random road of this root mean square slope, peaks thrice as steep; or InputError."""
+    """A random road of this root mean square slope; its peaks are about three times as steep.
+
+    Raises:
+        InputError: the slope is outside 0 to `MAX_RMS_GRADE`.
+    """
     if not 0 <= rms_grade <= MAX_RMS_GRADE:
         raise InputError(f"rms grade {rms_grade:g} is outside [0, {MAX_RMS_GRADE:g}]")
     wavelength = np.exp(rng.uniform(np.log(SHORTEST_HILL), np.log(LONGEST_HILL), HILLS))

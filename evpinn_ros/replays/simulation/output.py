@@ -28,9 +28,12 @@ def write(
     can_log: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Write a drive as the bag `folder` with `truth.yaml`, all or nothing; or InputError.
+    """Write a drive as the bag `folder` with `truth.yaml`, and as the candump log `can_log`.
 
-    `can_log` is a candump log to write too; `progress` takes the written seconds of the drive.
+    `progress` takes the written seconds of the drive.
+
+    Raises:
+        InputError: the bag cannot be written; nothing of it is left.
     """
     bag = BagWriter(folder)
     try:
@@ -40,7 +43,7 @@ def write(
         write_file(folder / TRUTH_FILE, text)
     except OSError as error:
         rmtree(folder, ignore_errors=True)
-        raise InputError(f"{folder}: {error.strerror or error}; nothing is left of it") from error
+        raise InputError(f"{folder}: {error.strerror or error}; it was removed") from error
     if can_log is not None:
         write_log(can_log, drive.frames)
 

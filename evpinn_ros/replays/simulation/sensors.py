@@ -64,9 +64,12 @@ def sense(
     rng: np.random.Generator,
     motors: Sequence[MotorReading] = (),
 ) -> SensorData:
-    """Readings from the bus of a car with this profile; `motors` unchanged if it has no torque.
+    """Readings decoded from the bus of a car with this profile; signals saturate.
 
-    Signals saturate. InputError: no broadcast speed or battery, or a voltage out of its range.
+    `motors` go over the bus if the profile has a motor torque, and are added unchanged otherwise.
+
+    Raises:
+        InputError: the profile broadcasts no speed or battery, or the voltage is out of its range.
     """
     try:
         sent = _sent(trace, profile, start_ns, rng)

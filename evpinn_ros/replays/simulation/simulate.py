@@ -82,13 +82,17 @@ def simulate(
 ) -> SimulatedDrive:
     """Drive a car; the same arguments give the same drive.
 
-    `car`: a car of an earlier drive, or wanted parameters by name; others are drawn by the seed.
-    `rms_grade`: root mean square slope. `altitude`, `temperature`, `motor_torque`: whether it has
-    these sensors. `equation`: it obeys eq. 21 to the letter on a flat road. InputError: an
-    argument is out of range, or the vehicle or profile cannot do it.
+    `car`: the car of an earlier drive, or true parameters by name; others are random by the seed.
+    `rms_grade`: root mean square slope. `altitude`, `temperature`, `motor_torque`: whether the car
+    has these sensors. `equation`: the car obeys this form of eq. 21 exactly, on a flat road.
+
+    Raises:
+        InputError: an argument is out of range, or the vehicle or profile does not support it.
     """
     if vehicle.relative_size != 1.0:
-        raise InputError(f"vehicle '{vehicle.key}' is no passenger car, which is all that drives")
+        raise InputError(
+            f"vehicle '{vehicle.key}' is not a passenger car; only those are simulated"
+        )
     profile_name = can_profile or vehicle.can_profile
     if profile_name is None:
         raise InputError(f"vehicle '{vehicle.key}' has no CAN profile: name one (--can-profile)")
@@ -100,7 +104,7 @@ def simulate(
     around = draw_surroundings(motion.time, weather)
     if equation is not None:
         if isinstance(car, Car):
-            raise InputError("a car that was driven before has a map of losses, not eq. 21")
+            raise InputError("the car of an earlier drive has a loss map and does not obey eq. 21")
         parameters = _wish(vehicle, car or {}, factory)
         car = equation_car(vehicle, parameters, factory)
         trace = drive_equation_car(car, parameters, motion, equation, vehicle.beta)

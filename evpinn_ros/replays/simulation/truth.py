@@ -144,7 +144,7 @@ def _draw(vehicle: Vehicle, rng: np.random.Generator, spread: float) -> Paramete
 def tuned(
     car: Car, motion: IntervalMotion, around: Surroundings, wish: Parameters, equation: Equation
 ) -> Car:
-    """The car whose true values are `wish`, as far as brakes and LEAST_AUXILIARY allow."""
+    """A car whose true values are `wish`, as far as brakes and LEAST_AUXILIARY allow."""
     car = replace(car, mean_auxiliary=max(wish.p_aux, LEAST_AUXILIARY))
     for _ in range(ROUNDS):
         plain = true_values(car, drive_car(car, motion, around), equation).parameters
