@@ -1,4 +1,4 @@
-"""`evpinn bench`: the benchmarks of this project, in a checkout alone."""
+"""`evpinn bench`: the benchmarks of this project, available only in a checkout."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class BenchCommands(LazyCommands):
     modules: ClassVar[Mapping[str, str]] = {name: f"benchmarks.cli.{name}" for name in COMMANDS}
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a name, None when there is none."""
+        """The benchmark `cmd_name`, or None; InputError outside a checkout."""
         if not (CHECKOUT / "benchmarks" / "cli").is_dir():
             raise InputError("the benchmarks are not installed; run evpinn bench in a checkout")
         if str(CHECKOUT) not in sys.path:
@@ -38,7 +38,7 @@ bench = typer.Typer(
 
 @bench.callback()
 def about() -> None:
-    """Measure how good this package is, beside other methods.
+    """Benchmark this package against other methods.
 
     Example: evpinn bench unseen bags=tesla_model_3_lr --methods prior,core
     """

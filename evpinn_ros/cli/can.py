@@ -1,4 +1,4 @@
-"""`evpinn can`: what is on a CAN bus."""
+"""`evpinn can`: inspection of a CAN bus."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from evpinn_ros.logs.bus_sources import open_can_log
 from evpinn_ros.topics.node_parameters import bus_options
 
 BITRATE = 500_000  # bit/s, of every car in config/can
-LISTEN = 10.0  # s, if not given otherwise
+LISTEN = 10.0  # s on a live bus, without --seconds
 LONGEST = 1e6  # s
-PERIOD = 0.2  # s between two looks at the clock while listening
-LONGEST_STOP = 5.0  # s to wait for the driver
+PERIOD = 0.2  # s between updates of the progress bar
+LONGEST_STOP = 5.0  # s to wait until the driver has closed
 
 can = typer.Typer(cls=ReadableGroup, no_args_is_help=True)
 
@@ -46,19 +46,21 @@ def group() -> None:
 @can.command(cls=ReadableCommand)
 def inspect(
     source: Annotated[
-        Path | None, typer.Argument(help="CAN log or bag of raw frames; not for a live bus.")
+        Path | None, typer.Argument(help="CAN log, or bag of raw frames; none for a live bus.")
     ] = None,
     interface: Annotated[
         str | None,
         typer.Option(
             "--interface",
             "--can-interface",
-            help="Driver of a live bus's adapter; socketcan if not given.",
+            help="python-can interface of a live bus; socketcan if not given.",
         ),
     ] = None,
     channel: Annotated[
         str | None,
-        typer.Option("--channel", "--can-channel", help="can0, /dev/ttyACM0... of a live bus."),
+        typer.Option(
+            "--channel", "--can-channel", help="Channel of a live bus: can0, /dev/ttyACM0..."
+        ),
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
@@ -66,12 +68,12 @@ def inspect(
         typer.Option(min=1, help=f"Bit rate of the bus, bit/s; {BITRATE} if not given."),
     ] = None,
     bus_option: Annotated[
-        str, typer.Option("--bus-options", help="Options 'name=value ...' for the driver.")
+        str, typer.Option("--bus-options", help="Options of the interface: 'name=value ...'.")
     ] = "",
     seconds: Annotated[
         float | None,
         typer.Option(
-            help=f"Stop after N seconds; {LISTEN:g} for a live bus, all of a recorded one."
+            help=f"Stop after N seconds; if not given, {LISTEN:g} on a live bus, else at the end."
         ),
     ] = None,
     can_profile: Annotated[
@@ -79,7 +81,7 @@ def inspect(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Show what is on a CAN bus, and which profile fits, without sending.
+    """List the ids on a CAN bus and the profiles that fit them; sends nothing.
 
     Example: evpinn can inspect drive.log
 
@@ -93,7 +95,7 @@ def inspect(
     if elm327 is not None:
         interface, channel = elm327_bus(elm327, interface, channel)
     if (source is None) == (channel is None):
-        raise typer.BadParameter("give either SOURCE, --channel or --elm327")
+        raise typer.BadParameter("give one of SOURCE, --channel and --elm327")
     if seconds is not None and not 0 < seconds <= LONGEST:
         raise typer.BadParameter(f"--seconds must be above 0 and at most {LONGEST:g}")
     if source is not None:
@@ -126,12 +128,12 @@ def _read(inspection: Inspection, path: Path, seconds: float | None) -> str | No
     for line in log.notes:
         note(line)
     for kind, count in sorted(log.skipped.items()):
-        note(f"{path}: {count} frames left out: {kind}")
+        note(f"{path}: {count} frames skipped: {kind}")
     return log.problem
 
 
 def _listen(reader: BusReader, seconds: float) -> tuple[int, str | None]:
-    """Inspect a live bus; returns the end, ns, and a fault; InputError if it is silent."""
+    """Inspect a live bus; returns (stamp of the end, problem); InputError if no frame came."""
     reader.open()
     note(f"listening for {seconds:g} s; Ctrl-C ends sooner")
     thread = threading.Thread(target=reader.run, daemon=True)
@@ -161,7 +163,7 @@ PEOPLE: dict[str, tuple[str, float, int]] = {
     "motor_torque": ("N m", 1.0, 0),
     "motor_speed": ("rpm", 60 / (2 * math.pi), 0),
 }
-"""Unit for people, its number in one SI unit, and decimals."""
+"""Shown unit, factor from SI to it, and decimals, by quantity."""
 
 
 def show_report(name: str, report: BusReport, bitrate: int) -> None:
@@ -249,15 +251,15 @@ def _summary(name: str, report: BusReport, bitrate: int) -> list[str]:
         f"Bus load: {low} to {high} % of {bitrate / 1000:g} kbit/s, depending on bit stuffing",
     ]
     if report.uncounted:
-        lines.append(f"{report.uncounted} frames of further ids were not looked at")
+        lines.append(f"{report.uncounted} frames of further ids were not analysed")
     return lines
 
 
 def _verdict(best: ProfileReport | None) -> list[str]:
     if best is None:
         return [
-            "No profile fits this traffic. Listening cannot identify a car that answers requests "
-            "alone: docs/explanation/can.md, asking the car"
+            "No profile fits this traffic. Listening cannot identify a car that only answers "
+            "requests; see docs/explanation/can.md, asking the car"
         ]
     lines = [f"Fits: {best.fit.profile}"]
     dropped = ", ".join(f"{count} {reason}" for reason, count in sorted(best.dropped.items()))

@@ -1,4 +1,4 @@
-"""`evpinn check-params`: validates a file without starting anything."""
+"""`evpinn check-params`: validates a configuration file."""
 
 from __future__ import annotations
 

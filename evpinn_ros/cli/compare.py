@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from evpinn_ros.cli.console import command_line, each, note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import command_line, note, progress_bar, say, show, track, write_json
 from evpinn_ros.cli.options import (
     JsonOption,
     ParamsOption,
@@ -42,7 +42,7 @@ def compare(
     report: ReportOption = None,
     state: Annotated[
         Path | None,
-        typer.Option(help="Start from what evpinn replay --state learned; not changed."),
+        typer.Option(help="Start from this state file of evpinn replay; it is not changed."),
     ] = None,
     units: UnitsOption = UnitSystem.METRIC,
     start: StartOption = 0.0,
@@ -55,19 +55,19 @@ def compare(
 ) -> None:
     """Compare drives of one car: where energy went, and what explains a difference.
 
-    For example the same road with other tyres, in another season or with another driver. One model
-    of the car learns from all drives, so errors of the model mostly cancel in the differences.
+    Compare, for example, the same road with other tyres, in another season or with another driver.
+    One model of the car learns from all drives, so its errors mostly cancel in the differences.
 
     Example: evpinn compare bags/urban bags/highway --vehicle tesla_model_3_lr
     """
     if len(drives) < 2:
-        raise typer.BadParameter("two drives or more", param_hint="DRIVES...")
+        raise typer.BadParameter("give at least two drives", param_hint="DRIVES...")
     check_outputs((report, json_file), (*drives, state, params, Path(vehicle)))
     if state is not None and not state.exists():
         raise InputError(f"{state}: no such file; evpinn replay --state writes it")
     options = ReplayOptions(start=start, duration=duration)
     car = CarReplay(vehicle, options, params=params, state=state, keep_drives=True)
-    files = each("finding columns", drives, "files")
+    files = track("finding columns", drives, "files")
     sources = [car.open(path, read_options) for path in files]
     check_outputs((report, json_file))  # now that every file of the inputs was opened
     explain_columns(sources)

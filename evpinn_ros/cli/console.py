@@ -30,12 +30,12 @@ from evpinn_ros.common.writer import write_file
 from evpinn_ros.core.signals.readings import NANOSECONDS
 
 Report = Callable[..., None]
-"""Takes the amount done (seconds of the drive unless named) and a word for the terminal."""
+"""Reports progress: the amount done, in the bar's unit, and optionally a word to show."""
 
 Item = TypeVar("Item")
 
 STDOUT = "-"  # as the path of a file
-DRIVE = "s of the drive"
+DRIVE_SECONDS = "s of the drive"
 LINE_PERIOD_S = 10.0  # between lines of progress in a pipe; shorter work prints none
 
 results = Console(highlight=False)
@@ -53,18 +53,18 @@ def say(text: str = "", style: str = "") -> None:
 
 
 def show(table: PlainTable, at_least: int = 0) -> None:
-    """Print a table of the results, as wide as the terminal and at least as wide as asked."""
+    """Print a table of results at the terminal's width, but at least `at_least` characters."""
     narrow = results.width < at_least
     (Console(width=at_least, stderr=results.stderr) if narrow else results).print(table)
 
 
 def command_line() -> str:
-    """The running command as a line for a shell."""
+    """The running command, quoted for a shell."""
     return shlex.join(["evpinn", *sys.argv[1:]])
 
 
 def moment(stamp_ns: int, timespec: str = "seconds") -> str:
-    """UTC of a stamp in ISO format; the number of nanoseconds if it is no date."""
+    """A stamp as ISO 8601 time in UTC, or as "N ns" if `datetime` cannot hold it."""
     try:
         instant = datetime.fromtimestamp(stamp_ns / NANOSECONDS, timezone.utc)
     except (OverflowError, ValueError, OSError):
@@ -78,7 +78,11 @@ def tables_beside(json_file: Path | None) -> None:
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Write JSON to stdout or a file; a number that is not finite becomes null."""
+    """Write JSON to a file, or to stdout if `path` is "-"; numbers that are not finite are null.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     text = json_text(document, indent=1)
     if str(path) == STDOUT:
         print(text, flush=True)
@@ -88,24 +92,24 @@ def write_json(path: Path, document: Any) -> None:
 
 
 class RateColumn(ProgressColumn):
-    """Rate of the work: times real time for seconds of a drive, else the amount per second."""
+    """Rate of progress: multiples of real time for seconds of a drive, else units a second."""
 
     def __init__(self, unit: str) -> None:
         super().__init__()
         self._unit = unit
 
     def render(self, task: Task) -> Text:
-        """The recent rate; empty until there is one."""
+        """The recent rate; empty at the start."""
         speed = task.finished_speed or task.speed
         if speed is None:
             return Text()
         text = f"{speed:.0f}" if speed >= 100 else f"{speed:.3g}"
-        return Text(text + (" x real time" if self._unit == DRIVE else " a second"))
+        return Text(text + (" x real time" if self._unit == DRIVE_SECONDS else " a second"))
 
 
 @contextmanager
-def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator[Report]:
-    """Show progress: a bar on a terminal, a line every 10 s in a pipe; `total` may be None."""
+def progress_bar(title: str, total: float | None, unit: str = DRIVE_SECONDS) -> Iterator[Report]:
+    """Show progress as a bar on a terminal, else as lines; `total` is None if unknown."""
     if not notes.is_terminal:
         yield progress_lines(title, total, unit)
         return
@@ -118,8 +122,8 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE) -> Iterator
         yield lambda done, word="": bar.update(task, completed=done, word=word)
 
 
-def each(title: str, items: Collection[Item], unit: str) -> Iterator[Item]:
-    """Yields items; shows how far they are where there are several."""
+def track(title: str, items: Collection[Item], unit: str) -> Iterator[Item]:
+    """Yields the items, and shows progress if there are two or more."""
     if len(items) < 2:
         yield from items
         return
@@ -130,15 +134,15 @@ def each(title: str, items: Collection[Item], unit: str) -> Iterator[Item]:
 
 
 def progress_lines(title: str, total: float | None, unit: str) -> Report:
-    """Progress as lines on stderr, none in the first `LINE_PERIOD_S`."""
-    begun = due = time.monotonic()
+    """A report that prints at most one line on stderr per `LINE_PERIOD_S`."""
+    begun = last_line = time.monotonic()
 
     def report(done: float, _word: str = "") -> None:
-        nonlocal due
+        nonlocal last_line
         now = time.monotonic()
-        if now - due < LINE_PERIOD_S:
+        if now - last_line < LINE_PERIOD_S:
             return
-        due = now
+        last_line = now
         share = done / total if total else 0.0
         left = (now - begun) * (1.0 - share) / share if 0.0 < share <= 1.0 else None
         progress = "" if left is None else f", {100.0 * share:.0f} %, {left:.0f} s left"
@@ -149,10 +153,10 @@ def progress_lines(title: str, total: float | None, unit: str) -> Report:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an error of the disk into one line for the user."""
+    """Turn an OSError while a bag is written into InputError."""
     try:
         yield
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; the bag is cut there") from error
+        raise InputError(f"{path}: {error.strerror or error}; the bag is incomplete") from error

@@ -1,4 +1,4 @@
-"""`evpinn convert`: any recorded drive into a rosbag2 MCAP of our topics."""
+"""`evpinn convert`: writes a recorded drive as a rosbag2 MCAP bag of this package's topics."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def convert(
     read_options: ReadOptions = READ_DEFAULTS,
     storage: Annotated[
         Storage | None,
-        typer.Option(help="Only change the storage of a bag, and keep every topic."),
+        typer.Option(help="Only change the storage format of a bag; every topic is kept."),
     ] = None,
 ) -> None:
     """Convert a recorded drive into a rosbag2 bag with the topics of this package.
@@ -80,14 +80,14 @@ def convert(
 
 
 def _write(source: Source, out: Path, interruption: Interruption) -> Counter[str]:
-    """Write the readings until an interruption; returns counts of dropped ones."""
+    """Write the readings until an interruption; returns counts of dropped readings by reason."""
     with progress_bar(source.path.name, source.seconds) as progress:
         readings = reported(source.readings(), progress)
-        # What gives no reading at all is refused here, before there is an empty bag of it.
-        begun = list(islice(readings, 1))
-        if not begun:
+        # An input without readings is refused here, before an empty bag is created.
+        first = list(islice(readings, 1))
+        if not first:
             reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(source.dropped.items()))
             raise InputError(f"{source.path}: no reading in it; dropped: {reasons or 'nothing'}")
-        kept = takewhile(lambda _: not interruption.asked, chain(begun, readings))
+        kept = takewhile(lambda _: not interruption.asked, chain(first, readings))
         with writing(out), BagWriter(out) as writer:
             return write_readings(kept, writer)

@@ -1,4 +1,4 @@
-"""`evpinn demo`: a bundled drive through the three real nodes, and what they learned."""
+"""`evpinn demo`: plays a bundled drive through the three nodes, and shows what they learned."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def demo(
 ) -> None:
     """Play a bundled drive through the three nodes, and show what they learned.
 
-    The drive is of a simulated car in town. Its CAN frames go to the node `can_bridge`, and the
-    topics of that node to `estimator` and `energy`; each is a separate process. The nodes do not
-    know the true parameters; these are shown beside the result.
+    A simulated car drives in town. Its CAN frames go to the node `can_bridge`, and the topics of
+    that node to `estimator` and `energy`; each is a separate process. The result is shown beside
+    the true parameters, which the nodes do not know.
 
     Example: evpinn demo
     """
@@ -55,7 +55,7 @@ def demo(
     source = share_directory() / "bags" / DRIVE
     bag, picture, log = out / "bag", out / "demo.png", out / f"{DRIVE}.log"
     if bag.exists() and not log.is_file():  # an earlier demonstration leaves a log beside it
-        raise InputError(f"{bag}: is in the way and not of an earlier demo; give another --out")
+        raise InputError(f"{bag}: exists, but evpinn demo did not write it; give another --out")
     shutil.rmtree(bag, ignore_errors=True)
     frames = _frames(source)
     with as_input_error(out):

@@ -1,4 +1,4 @@
-"""`evpinn forecast`: energy and charge that plans will take."""
+"""`evpinn forecast`: forecasts the energy and charge of plans."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 
 MORE = "kWh more than the first"
 SHOWN_ROAD = 100e3  # m, if the range of the car is unknown
-CHARGE = 7  # column of the charge, which no plan may have
-WIDE = 110  # characters of a table that compares
+CHARGE = 7  # column of the charge; left out if it is unknown for every plan
+WIDE = 110  # characters of a table that compares plans
 ENERGIES = ("energy_j", "sigma_j", "more_than_first_j", "more_than_first_sigma_j")
 
 
@@ -39,8 +39,8 @@ def forecast(
         list[Path] | None,
         typer.Argument(
             help="Plans: tables of speed over time or of legs, GPX, GeoJSON, the JSON of "
-            "Valhalla, OSRM, GraphHopper or openrouteservice, or recorded drives. Without any, "
-            "--speed and --charge say how far the car gets."
+            "Valhalla, OSRM, GraphHopper or openrouteservice, or recorded drives. Without a plan, "
+            "--speed and --charge give the range."
         ),
     ] = None,
     vehicle: Annotated[
@@ -71,8 +71,8 @@ def forecast(
     speed: Annotated[
         str | None,
         typer.Option(
-            help="Speed on a track that has neither times nor speeds, as 90km/h or 55mph; without "
-            "a plan, on a level road.",
+            help="Speed, such as 90km/h or 55mph, on a track without times and speeds; without a "
+            "plan, on a level road.",
         ),
     ] = None,
     head_wind: Annotated[
@@ -97,8 +97,9 @@ def forecast(
         bool | None,
         typer.Option(
             "--steady/--expected",
-            help="Between far points, take speeds as commanded (straight lines), or expect what "
-            "drivers do: the default, except for what a controller follows.",
+            help="Between distant points, the car follows the planned speeds exactly (steady), or "
+            "varies around them as drivers do (expected: the default, except for plans that a "
+            "controller follows).",
         ),
     ] = None,
     read_options: ReadOptions = READ_DEFAULTS,
@@ -108,8 +109,8 @@ def forecast(
 ) -> None:
     """Forecast the energy of plans, and the charge after each.
 
-    Each plan is compared with the first one. Errors that both share cancel in the difference: that
-    of the car's mass, and of the unknown road if both plans are equally long (to 1 m).
+    Each plan is compared with the first one. Errors that both share cancel in the difference:
+    those of the car's mass and, for plans of equal length (within 1 m), of the unknown road.
     docs/reference/inputs.md describes the files.
 
     Example: evpinn forecast route.json --state car.json --charge 80
@@ -140,7 +141,7 @@ def forecast(
     if paths:
         trips = _read(paths, load_vehicle(vehicle), replace(read_options, pace=pace))
     elif pace is None:
-        raise typer.BadParameter("name a plan, or say --speed and --charge")
+        raise typer.BadParameter("give a plan, or --speed and --charge")
     else:
         lasts = [until_empty(pace, car, given, sigmas) for sigmas in (0.0, -QUANTILE, QUANTILE)]
         name = f"{pace * shown.speeds:.4g} {shown.speed}"
@@ -200,7 +201,7 @@ def forecast(
 
 
 def _read(paths: list[Path], vehicle: Any, options: ReadOptions) -> list[tuple[str, Any]]:
-    """The plans in files, with their paths; warnings of their readers become notes."""
+    """(path, plan) of each file; warnings of their readers become notes."""
     from evpinn_ros.logs.plans.read import read_plan
 
     trips = []
@@ -215,7 +216,7 @@ def _read(paths: list[Path], vehicle: Any, options: ReadOptions) -> list[tuple[s
 
 
 def _names(paths: list[Path]) -> list[str]:
-    """Names of files with their suffix, and with folders where two names are equal."""
+    """Names of the files, with folders if two names are equal."""
     from evpinn_ros.replays.drive_names import short_names
 
     names = [path.name for path in paths]
@@ -223,7 +224,7 @@ def _names(paths: list[Path]) -> list[str]:
 
 
 def _metres_per_second(text: str, units: Units) -> float:
-    """A speed with its unit, or in that of people."""
+    """Parse a speed, which without a unit is in `units`."""
     from evpinn_ros.logs.quantities import QUANTITIES
 
     unit = text.strip().lstrip("0123456789.")
@@ -233,11 +234,11 @@ def _metres_per_second(text: str, units: Units) -> float:
         factor = names[unit.lower()].factor if unit else 1.0 / units.speeds
         if 0.0 < (speed := float(number) * factor) <= MAX_SPEED:
             return speed
-    raise typer.BadParameter(f"--speed {text}: say a speed with its unit, as 90km/h or 55mph")
+    raise typer.BadParameter(f"--speed {text}: give a speed with a unit, such as 90km/h")
 
 
 def _how_far(charge: float, lasts: list[float | None], units: Units) -> str:
-    """Sentence on how far a charge, %, lasts: m, and its band, None where that is unknown."""
+    """Sentence on how far a charge, %, lasts: a distance and its 90 % band, m, or None."""
     empty, *band = (
         "unknown" if place is None else f"{place / units.metres:.0f}" for place in lasts
     )

@@ -1,4 +1,4 @@
-"""`evpinn info`: what a recording holds, and which part of it the estimator can use."""
+"""`evpinn info`: shows what a recording contains, and which part the estimator can use."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _lines(recording: Contents, units: Units) -> Iterator[str]:
 
 
 def _start(recording: Contents, begin_ns: int) -> str:
-    """Start of a recording as text, with what is unknown about it."""
+    """Start of a recording as text, which says if its date or time zone is unknown."""
     if recording.dated == "" or begin_ns < FIRST_STAMP_NS:
         return ", without a date"
     day = ", the day taken from the file's name" if recording.dated == "name" else ""
@@ -128,7 +128,7 @@ def _relative(spans: tuple[Span, ...], begin_ns: int) -> Iterator[tuple[float, f
 
 
 def _pace(flow: ReadingFlow) -> str:
-    """Readings a second, or seconds a reading, while they come; empty of a single one."""
+    """Rate between the gaps, as "5.0 a second, " or "one every 2.0 s, "; empty if unknown."""
     apart = sum(last - first for first, last in flow.runs) / NANOSECONDS
     rate = (flow.count - len(flow.runs)) / apart if apart > 0.0 else flow.rate
     if not rate > 0.0:

@@ -16,13 +16,14 @@ INTERRUPTED = 130  # 128 + SIGINT, the exit code of shells
 
 
 class Interruption:
-    """Notes the first signal to stop, so that results are written; a second Ctrl-C ends at once.
+    """Records the first stop signal, so that results are written; a second Ctrl-C ends at once.
 
-    The command ends with 130, or 128 and the signal's number. An ignored signal stays ignored.
+    The exit code is 128 plus the signal's number. A signal that was ignored stays ignored.
     """
 
     def __init__(self) -> None:
-        self.asked = False  # whether to stop
+        self.asked = False
+        """Whether a signal asked to stop."""
         self._code = INTERRUPTED
         self._before: dict[int, Any] = {}
 

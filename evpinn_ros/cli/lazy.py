@@ -1,4 +1,4 @@
-"""Groups of commands that import the module of a command when it is called."""
+"""Groups of commands that import a command's module only when it is called."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typer.core import TyperCommand, TyperGroup
 
 from evpinn_ros.common.errors import near_names
 
-BRIEF = {  # shorter than typer's texts, which wrapped their last word into a second line
+BRIEF = {  # typer's own texts do not fit on a line
     "help": "Show this help.",
     "install_completion": "Let the shell complete commands.",
-    "show_completion": "Show what that would install.",
+    "show_completion": "Print the completion script.",
 }
 
 
@@ -31,7 +31,7 @@ class Readable:
         )
 
     def get_params(self, ctx: Any) -> Any:
-        """Options of the command; those of every command get short help texts."""
+        """Parameters of the command; those that typer adds get the texts of `BRIEF`."""
         parameters = super().get_params(ctx)  # type: ignore[misc]
         for parameter in parameters:
             parameter.help = BRIEF.get(parameter.name, getattr(parameter, "help", None))
@@ -39,27 +39,28 @@ class Readable:
 
 
 class ReadableCommand(Readable, TyperCommand):
-    """A command with such help."""
+    """A command with `Readable` help."""
 
 
 class ReadableGroup(Readable, TyperGroup):
-    """A group of commands with such help."""
+    """A group of commands with `Readable` help."""
 
 
 class LazyCommands(ReadableGroup):
-    """Imports a command when it is asked for: torch alone takes more than a second."""
+    """Imports a command when it is called: torch alone takes more than a second."""
 
-    # of the commands by name, in the order of the help. Each holds a function, or a `typer.Typer`
-    # that is a group itself, of the command's name
     modules: ClassVar[Mapping[str, str]] = {}
+    """Module of each command, in the order of the help; it defines a function or a `typer.Typer`
+    with the command's name."""
+
     _listing = False
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names in the order of the help."""
+        """Names of the commands in the order of the help."""
         return [name.replace("_", "-") for name in self.modules]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command of a name, None when there is none."""
+        """The command `cmd_name`, or None."""
         name = cmd_name.replace("-", "_")
         if name not in self.modules:
             return None
@@ -70,19 +71,19 @@ class LazyCommands(ReadableGroup):
             group = typer.main.get_group(command)
             group.name = cmd_name  # the name in the help
             return group
-        alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        alone.command(cmd_name, cls=ReadableCommand)(command)
-        return typer.main.get_command(alone)
+        single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+        single.command(cmd_name, cls=ReadableCommand)(command)
+        return typer.main.get_command(single)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Resolve words to a command; an unknown command fails with the nearest names."""
+        """Resolve arguments to a command; the error for an unknown one lists similar names."""
         near = near_names(args[0], self.list_commands(ctx))
         if near and not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
             ctx.fail(f"No such command '{args[0]}'{near}.")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> Any:
-        """Completions of names and options, without importing every command for its help."""
+        """Completions of commands and options, without importing every command."""
         self._listing = True
         try:
             return super().shell_complete(ctx, incomplete)
@@ -90,7 +91,7 @@ class LazyCommands(ReadableGroup):
             self._listing = False
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help with the first sentence of each command, without importing it."""
+        """Write the help with the first paragraph of each command, without importing it."""
         self._listing = True
         try:
             super().format_help(ctx, formatter)

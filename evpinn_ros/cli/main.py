@@ -28,7 +28,7 @@ EXTRAS = {
     "reproduce": "evpinn_ros.extras.paper.reproduce",
     "fleet": "evpinn_ros.extras.fleet.fleet",
 }
-"""Commands of `extras`: only this table knows them."""
+"""Commands implemented in `extras`; nothing else in the package refers to it."""
 
 NAMES = (
     *("replay", "compare", "forecast", "export", "run", "mqtt", "vss", "watch", "view"),
@@ -67,10 +67,10 @@ def evpinn(
 
 
 def main(signals: AbstractContextManager[None] = nullcontext()) -> None:  # noqa: B008
-    """Run the command within `signals`; wrong input is one line on stderr and exit code 1."""
+    """Run the command line inside the context `signals`; an error is one line and exit code 1."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # some terminals lack some characters
+            stream.reconfigure(errors="replace")  # for terminals without UTF-8
     try:
         try:
             with signals, optional_imports():

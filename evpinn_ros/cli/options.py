@@ -1,4 +1,4 @@
-"""Options that several commands have: defined once, so that they mean and complete the same."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -17,31 +17,33 @@ from evpinn_ros.logs.read_options import ReadOptions
 
 
 def complete_vehicle(incomplete: str) -> list[str]:
-    """Known vehicles with this prefix; without any, the shell offers paths."""
-    # Imported here: every command has this option, but few complete it.
+    """Names of vehicles that begin with `incomplete`; if none does, the shell completes paths."""
+    # Imported here: most commands have this option, and few calls complete it.
     from evpinn_ros.core.vehicle.files import known_vehicles
 
     return [name for name in known_vehicles() if name.startswith(incomplete)]
 
 
 def complete_profile(incomplete: str) -> list[str]:
-    """Bundled CAN profiles with this prefix; without any, the shell offers paths."""
+    """CAN profiles that begin with `incomplete`; if none does, the shell completes paths."""
     from evpinn_ros.can.profile import profile_names
 
     return [name for name in profile_names() if name.startswith(incomplete)]
 
 
 def _check_json_file(context: typer.Context, path: Path | None) -> Path | None:
-    """Send tables to stderr while JSON is on stdout; BadParameter for a file of no JSON."""
+    """Send tables to stderr if JSON goes to stdout; BadParameter if it would overwrite a log."""
     if path is not None and path.is_file() and path.suffix not in ("", *JSON_SUFFIXES):
-        raise typer.BadParameter(f"{path} exists and is not a .json file; - is stdout")
+        raise typer.BadParameter(
+            f"{path} exists, and only .json files are overwritten; - writes to stdout"
+        )
     tables_beside(path)
     context.call_on_close(partial(tables_beside, None))  # one process may run several commands
     return path
 
 
 def check_report(path: Path | None) -> Path | None:
-    """The path of a report; InputError before the work if its extra is missing."""
+    """Return `path`; InputError, before any work, if the extra `report` is not installed."""
     if path is not None:
         with optional_imports():
             import jinja2  # noqa: F401
@@ -67,14 +69,17 @@ TrustProfileOption = Annotated[
     ),
 ]
 KeptStateOption = Annotated[
-    Path | None, typer.Option(help="Keep what is learned between drives in this file.")
+    Path | None,
+    typer.Option(
+        help="File of what was learned: read at the start if it exists, written at the end."
+    ),
 ]
 ParamsOption = Annotated[Path | None, typer.Option(help="Parameter file (YAML).")]
 ColumnOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Correct what a column is: speed=NAME:km/h says its unit, current=NAME:-A turns its "
-        "sign, time=NAME:%H:%M:%S gives its format."
+        help="Choose the column of a quantity: speed=NAME:km/h sets its unit, current=NAME:-A "
+        "inverts its sign, time=NAME:%H:%M:%S sets its format."
     ),
 ]
 CarOption = Annotated[
@@ -82,7 +87,7 @@ CarOption = Annotated[
     typer.Option(
         "--car",
         metavar="NAME",
-        help="One of several cars: its name in a table, its namespace in a bag.",
+        help="Which of several cars to read: its name in a table, its namespace in a bag.",
     ),
 ]
 StartOption = Annotated[float, typer.Option(min=0.0, help="Skip the first N seconds.")]
@@ -91,7 +96,7 @@ Elm327Option = Annotated[
     typer.Option(
         "--elm327",
         metavar="PORT",
-        help="Use an ELM327 or OBDLink, at this serial port or tcp:HOST:PORT.",
+        help="Use an ELM327 or OBDLink adapter at this serial port or tcp:HOST:PORT.",
     ),
 ]
 _JSON_HELP = f"Write the results to this JSON file; {STDOUT} for stdout."
@@ -100,7 +105,7 @@ JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_check_json_file)
 ]
 TABLE_SUFFIX = ".csv"
-_METRICS_HELP = f"{_JSON_HELP} A file that ends in {TABLE_SUFFIX} gets a table, a row each drive."
+_METRICS_HELP = f"{_JSON_HELP} A {TABLE_SUFFIX} file gets a table with one row per drive."
 MetricsOption = Annotated[
     Path | None, typer.Option("--metrics", "--json", help=_METRICS_HELP, callback=_check_json_file)
 ]
@@ -108,13 +113,13 @@ ReportOption = Annotated[
     Path | None, typer.Option(help="Write this HTML report.", callback=check_report)
 ]
 UnitsOption = Annotated[
-    UnitSystem, typer.Option(help="Units of distance, speed and height for people.")
+    UnitSystem, typer.Option(help="Units in text and reports; JSON keeps its own.")
 ]
 ElevationOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Heights for a log with positions: a folder of SRTM or GeoTIFF tiles.",
+        help="Folder of SRTM or GeoTIFF tiles with the heights for a log of positions.",
     ),
 ]
 
@@ -135,7 +140,7 @@ def _read_options(
 
 
 def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace the parameter `read_options` of a command by the options that make its value."""
+    """Decorator: replaces a command's parameter `read_options` by the options that build it."""
     signature = inspect.signature(command, eval_str=True)
     given = inspect.signature(_read_options, eval_str=True).parameters
 
@@ -152,9 +157,9 @@ def with_read_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def elm327_bus(port: str, interface: str | None, channel: str | None) -> tuple[str, str]:
-    """Interface and channel of an ELM327; BadParameter beside another adapter."""
+    """(interface, channel) of an ELM327 at `port`; BadParameter if another adapter is given."""
     from evpinn_ros.can.elm327 import NAME  # here: python-can takes long to import
 
     if interface is not None or channel is not None:
-        raise typer.BadParameter("--elm327 names the adapter: leave out interface and channel")
+        raise typer.BadParameter("--elm327 cannot be combined with an interface or a channel")
     return NAME, port

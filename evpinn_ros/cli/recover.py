@@ -1,4 +1,4 @@
-"""`evpinn recover`: what a broken MCAP still holds."""
+"""`evpinn recover`: saves the readable messages of a broken MCAP file."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def recover(
 ) -> None:
     """Save what is left in a broken bag, and report what was lost.
 
-    A damaged chunk is skipped; behind other damage the file's index tells where to go on, and
-    without it reading ends there. The broken bag is not changed. If one of its files cannot be
-    read, the others are saved, and the command exits with 1.
+    A damaged chunk is skipped. After other damage, reading continues where the file's index
+    points, or ends if the file has no index. The broken bag is not changed. If one of its files
+    cannot be read, the others are saved, and the command exits with 1.
 
     Example: evpinn recover out/today/today_0.mcap out/saved
     """
@@ -47,7 +47,7 @@ def recover(
     if unread := [file.problem for file in files if file.problem is not None]:
         for problem in unread:
             note(f"evpinn: {problem}")
-        note(f"evpinn: {len(unread)} of {len(files)} files could not be read, or not to the end")
+        note(f"evpinn: {len(unread)} of {len(files)} files could not be read completely")
         raise typer.Exit(1)
 
 
@@ -55,19 +55,19 @@ def _lines(file: RecoveredFile) -> Iterator[str]:
     span = f", {_time(file.start_ns)} to {_time(file.end_ns)}" if file.messages else ""
     yield f"{file.path}: {file.messages} messages saved{span}"
     if file.unproven:
-        yield f"  {file.unproven} of them have no checksum: what is in them was not checked"
+        yield f"  {file.unproven} of them have no checksum, so their content was not verified"
     for loss in file.losses[:MOST_LINES]:
         yield f"  lost: {_loss(loss)}"
     if more := file.more_losses + len(file.losses[MOST_LINES:]):
         yield f"  lost: {more} more stretches; {file.lost_bytes} bytes in all"
     if file.unknown_topic:
-        yield f"  lost: {file.unknown_topic} messages, for the definition of their topic is lost"
+        yield f"  lost: {file.unknown_topic} messages, because their topic's definition is lost"
     if file.whole:
         yield "  nothing is lost" + ("" if file.ended else "; its end and index were missing")
     elif file.lost_messages is not None:
         yield f"  {file.lost_messages} messages lost in all"
     else:
-        yield "  how many messages are lost is unknown: the file's own count is gone"
+        yield "  unknown how many messages are lost: the file's own count is missing"
 
 
 def _loss(loss: Loss) -> str:

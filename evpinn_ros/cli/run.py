@@ -1,4 +1,4 @@
-"""`evpinn run`: the three nodes in one process, live."""
+"""`evpinn run`: the three nodes in one process."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ from evpinn_ros.topics.parameter_file import read_parameter_file
 
 POLL_S = 0.2
 CUT_SHORT_S = 20.0
-"""Time that a report may take after SIGTERM; a service manager kills after 90 s."""
+"""Time to finish the report after a signal to stop; a service manager kills after 90 s."""
 
-ONE_WISH_S = 1.0  # signals within this time count as one; a later one is passed on
+SAME_SIGNAL_S = 1.0  # signals within this time count as one; a later one is passed on
 
 TERMINATED = 143  # 128 + SIGTERM, the exit code of shells
 
@@ -58,10 +58,14 @@ TERMINATED = 143  # 128 + SIGTERM, the exit code of shells
 def reported(
     report: Path, record: Path | None, state: Path | None, options: Sequence[str]
 ) -> Iterator[Path]:
-    """The bag to record to, of which `evpinn replay` makes a report after the drive.
+    """Yields the bag to record to; on exit, `evpinn replay` with `options` makes its report.
 
-    Without `record` the bag lies beside the report until that is made; `state` is copied first.
-    InputError: no place for the report, or no such state. typer.Exit: there is no report.
+    Without `record` the bag is temporary, beside the report. The replay starts from a copy of
+    `state` made before the drive.
+
+    Raises:
+        InputError: the report's folder cannot be made, or the state not be read.
+        typer.Exit: the replay failed.
     """
     if report.is_dir():
         raise InputError(f"--report {report}: a folder is there; give the name of a file")
@@ -76,21 +80,21 @@ def reported(
             options = (*options, "--state", str(before))
     with beside as folder:
         bag = record or Path(folder, "bag")
-        other = bag.is_file() or (bag.is_dir() and any(bag.iterdir()))
+        occupied = bag.is_file() or (bag.is_dir() and any(bag.iterdir()))
         yield bag
-        if other or not bag.exists() or _is_empty(bag):
+        if occupied or not bag.exists() or _is_empty(bag):
             return  # nothing was recorded, and the nodes have logged the reason
         note(f"evpinn: writing {report}; Ctrl-C cuts it short")
         command = [sys.executable, "-m", "evpinn_ros", "replay", str(bag), *options]
         if code := _run([*command, "--report", str(report)]):
             if record is None:
                 kept = bag.rename(report.parent / Path(folder).name.lstrip("."))
-                note(f"evpinn: the report is not whole; the drive is kept: {kept}")
+                note(f"evpinn: the report is incomplete; the drive is kept: {kept}")
             raise typer.Exit(code)
 
 
 def _run(command: list[str]) -> int:
-    """Run a command, which a signal to stop cuts short, apart from this process's nodes."""
+    """Run a command in its own session, and pass signals to stop on to it; its exit code."""
     asked_s: list[float] = []
     with stopped_by(lambda *_: asked_s.append(time.monotonic())):
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
@@ -101,7 +105,7 @@ def _run(command: list[str]) -> int:
             except subprocess.TimeoutExpired:
                 if asked_s and time.monotonic() - asked_s[0] > CUT_SHORT_S:
                     process.kill()
-                elif asked_s and asked_s[-1] - signalled_s > ONE_WISH_S:
+                elif asked_s and asked_s[-1] - signalled_s > SAME_SIGNAL_S:
                     signalled_s = asked_s[-1]
                     process.send_signal(signal.SIGINT)
             else:
@@ -114,7 +118,7 @@ def _is_empty(bag: Path) -> bool:
 
 
 def _holds_readings(bag: Path) -> bool:
-    """True if a topic that a replay reads has messages; the nodes' own always have."""
+    """Whether a topic that a replay reads has messages; those that the nodes publish always do."""
     with BagReader(bag) as reader:
         return any(
             info.count and topic.endswith(REPLAYED) for topic, info in reader.topics.items()
@@ -126,7 +130,7 @@ BRIEF_S = 5.0  # nodes that end sooner failed, and have logged why
 
 
 def learned_before(state: Path | None, params: Path | None) -> Path | None:
-    """The state file that the estimator starts from: the command's, or that of its parameters."""
+    """State file that the estimator starts from: `state`, else the one named in `params`."""
     if state is None and params is not None:
         return state_path(str(read_parameter_file(params, "estimator").get("state_file", "")))
     return state_path(str(state or ""))
@@ -153,18 +157,19 @@ def run(
     vehicle: VehicleOption,
     can_interface: Annotated[
         str | None,
-        typer.Option(help="Driver of the adapter in python-can; socketcan if not given."),
+        typer.Option(help="python-can interface of the bus; socketcan if not given."),
     ] = None,
     can_channel: Annotated[
         str | None,
-        typer.Option(help="Channel of the adapter, such as /dev/ttyACM0; can0 if not given."),
+        typer.Option(help="Channel of the bus, such as /dev/ttyACM0; can0 if not given."),
     ] = None,
     elm327: Elm327Option = None,
     bitrate: Annotated[
         int | None, typer.Option(min=0, help="Bit rate of the bus, bit/s; 500000 if not given.")
     ] = None,
     bus_option: Annotated[
-        str | None, typer.Option("--bus-options", help="Options 'name=value ...' for the driver.")
+        str | None,
+        typer.Option("--bus-options", help="Options of the interface: 'name=value ...'."),
     ] = None,
     can_profile: CanProfileOption = None,
     trust_profile: TrustProfileOption = False,
@@ -172,18 +177,18 @@ def run(
         bool,
         typer.Option(
             "--poll",
-            help="Also send requests for values that must be asked for. This keeps the car awake.",
+            help="Also request values that the car does not broadcast. This keeps the car awake.",
         ),
     ] = False,
     mode: Annotated[
-        Mode | None, typer.Option(help="Method of learning; hybrid if not given.")
+        Mode | None, typer.Option(help="Learning method; hybrid if not given.")
     ] = None,
     record: Annotated[
-        Path | None, typer.Option(help="New bag of all topics and CAN frames.")
+        Path | None, typer.Option(help="Record all topics and CAN frames to this new bag.")
     ] = None,
     report: ReportOption = None,
     split_size: Annotated[
-        float | None, typer.Option(min=0.1, help="Begin a new file of the bag at this size in MB.")
+        float | None, typer.Option(min=0.1, help="Start a new file of the bag at this size, MB.")
     ] = None,
     split_time: Annotated[
         float | None, typer.Option(min=1.0, help="Start a new file of the bag after this time, s.")
@@ -195,9 +200,9 @@ def run(
         bool, typer.Option("--no-view", help="Print logs in place of the view.")
     ] = False,
 ) -> None:
-    """Run CAN bridge, estimator and energy live, until Ctrl-C.
+    """Run the nodes CAN bridge, estimator and energy until Ctrl-C.
 
-    It only listens: without --poll nothing is sent to the car. In a terminal it shows a live view.
+    Without --poll it only listens: nothing is sent to the car. A terminal shows a live view.
 
     Example: evpinn run --vehicle nissan_leaf --record out/today
 

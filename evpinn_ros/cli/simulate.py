@@ -1,4 +1,4 @@
-"""`evpinn simulate`: a drive with known true parameters, as a bag and as a CAN log."""
+"""`evpinn simulate`: writes a drive with known parameters as a bag and a CAN log."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ START = datetime.fromtimestamp(EPOCH_NS / NANOSECONDS, timezone.utc).replace(tzi
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder of the new bag.")],
     vehicle: VehicleOption = "tesla_model_3_lr",
-    kind: Annotated[DriveKind, typer.Option(help="Kind of roads.")] = DriveKind.URBAN,
+    kind: Annotated[DriveKind, typer.Option(help="Kind of road.")] = DriveKind.URBAN,
     duration: Annotated[float, typer.Option(help="Length of the drive, s.")] = 600.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 1,
     true: Annotated[
@@ -37,11 +37,11 @@ def simulate(
         typer.Option(
             metavar="NAME=VALUE",
             help=f"Set a true parameter; may be repeated. Names: {', '.join(PARAMETER_NAMES)}. "
-            "The others are random.",
+            "Parameters not set are random.",
         ),
     ] = None,
     hills: Annotated[
-        float, typer.Option(help="Root mean square slope of the road in percent, 0 is flat.")
+        float, typer.Option(help="Root mean square grade of the road, %; 0 is flat.")
     ] = 100 * RMS_GRADE,
     start: Annotated[
         datetime, typer.Option(help="Start of the drive, UTC.", show_default=False)
@@ -65,14 +65,14 @@ def simulate(
 ) -> None:
     """Simulate a drive whose true parameters are known.
 
-    The simulated car is more complicated than the estimator assumes: it has an efficiency map,
+    The simulated car is more complex than the estimator's model: it has an efficiency map,
     friction brakes, wind, changing auxiliary loads, hills, and sensors with lag and noise. OUT
-    becomes a bag; its truth.yaml has the true values. The same arguments give the same drive.
+    is a bag with the true values in truth.yaml. The same arguments give the same drive.
 
     Example: evpinn simulate drive --kind mixed --seed 7 --true mass=2050
     """
     if equation is not None and hills != 100 * RMS_GRADE and hills != 0:
-        raise InputError("--hills: a car that obeys eq. 21 drives on a flat road")
+        raise InputError("--hills cannot be combined with --equation, which needs a flat road")
     drive = simulate_drive(
         kind,
         load_vehicle(vehicle),
@@ -88,7 +88,7 @@ def simulate(
         equation=equation,
     )
     check_outputs((out, can_log))
-    with Interruption():  # the truth beside the bag is that of the whole drive
+    with Interruption():  # never cut short: truth.yaml describes the whole drive
         with writing(out), progress_bar(out.name, total=duration) as progress:
             write(drive, out, can_log, progress)
         for line in _summary(drive, out):
@@ -112,5 +112,5 @@ def _summary(drive: SimulatedDrive, out: Path) -> list[str]:
         f"{out}: {drive.duration_s:g} s, {len(drive.readings)} readings, "
         f"top speed {motion.speed.max() * 3.6:.0f} km/h",
         *(f"  {name:20} {value:.6g}" for name, value in truth.parameters._asdict().items()),
-        f"  definitions and the rest: {out / TRUTH_FILE}",
+        f"  definitions and other true values: {out / TRUTH_FILE}",
     ]

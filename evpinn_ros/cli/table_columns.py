@@ -1,4 +1,4 @@
-"""Sentences on how the columns of a table are used."""
+"""Prints how the columns of a table are used."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from evpinn_ros.logs.source import Source
 
 
-# Units are looked up in small letters.
+# Spelling of a unit by its lower-case name.
 PRETTY = {
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
     **dict.fromkeys(("v", "volt", "volts"), "V"),
@@ -25,7 +25,7 @@ PRETTY = {
 
 
 def explain_columns(sources: Iterable[Source]) -> None:
-    """Print, once of tables alike, columns that were guessed or are not used."""
+    """Print guessed and unused columns, once for all tables with the same columns."""
     tables: dict[Hashable, list[Source]] = {}
     for source in sources:
         tables.setdefault(_choices(source), []).append(source)
@@ -36,7 +36,7 @@ def explain_columns(sources: Iterable[Source]) -> None:
 
 
 def _choices(source: Source) -> Hashable:
-    """The columns of a table and their units; the figures in the reasons differ in each file."""
+    """Columns and units of a table, without the reasons, whose figures differ between files."""
     chosen = ((rule.quantity, rule.name, rule.unit, rule.could_be) for rule in source.rules)
     return tuple(chosen), tuple(source.ignored)
 
@@ -55,7 +55,7 @@ def _columns(source: Source) -> Iterator[str]:
 
 
 def explain_notes(source: Source, said: Container[str] = ()) -> list[str]:
-    """Print notes of the reading that were not `said` of another table; returns them."""
+    """Print the notes of `source` that are not in `said`; returns them."""
     texts = [text for text in source.notes if text not in said]
     for text in texts:
         note(text if text.startswith(str(source.path)) else f"{source.path}: {text}")
@@ -63,7 +63,7 @@ def explain_notes(source: Source, said: Container[str] = ()) -> list[str]:
 
 
 def shorter(names: Iterable[str]) -> str:
-    """List of names; a run that differs only by a number becomes its first and last name."""
+    """Names joined by commas; three or more that differ by a final number are "A1 to A9"."""
     runs: list[list[str]] = []
     for name in names:
         if runs and _stem(name) == _stem(runs[-1][-1]) != name:
@@ -79,6 +79,6 @@ def _stem(name: str) -> str:
 
 
 def choice(rule: Column) -> str:
-    """The column that was chosen for a quantity, with its unit and the reason."""
+    """Name, unit and reason of the column chosen for a quantity."""
     unit = (rule.unit or "").lstrip("-")  # the reason beside it gives the sign of `-a`
     return ", ".join(filter(None, [repr(rule.name), PRETTY.get(unit, unit), rule.why]))

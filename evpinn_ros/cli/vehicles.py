@@ -1,4 +1,4 @@
-"""`evpinn vehicles`: the cars that have priors."""
+"""`evpinn vehicles`: lists and shows the cars that have priors."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ COLUMNS = {
     "CAN profile": "can_profile",
     "prior": "from",
 }
-"""Titles of the table, and the keys of JSON that they show."""
+"""JSON key by the title of its column in the table."""
 
 vehicles = typer.Typer(cls=ReadableGroup, invoke_without_command=True)
 
 
 @vehicles.callback()
-def every(context: typer.Context) -> None:
+def list_vehicles(context: typer.Context) -> None:
     """List the cars that --vehicle knows: vehicle files, certified and rated cars.
 
     The road load of a certified car was measured (US EPA). That of a rated car is estimated, from
@@ -48,18 +48,18 @@ def every(context: typer.Context) -> None:
 
 @vehicles.command(cls=ReadableCommand)
 def search(
-    words: Annotated[list[str], typer.Argument(help="Words that the name must have.")],
+    words: Annotated[list[str], typer.Argument(help="Words that the name must contain.")],
     json_file: JsonOption = None,
     units: UnitsOption = UnitSystem.METRIC,
 ) -> None:
-    """List the cars whose names have these words, with the consumption in the WLTP's cycle.
+    """List the cars whose names contain these words, with their WLTP consumption.
 
     Example: evpinn vehicles search model 3
     """
     cars = [load_vehicle(key) for key in find_vehicles(" ".join(words))]
     if not cars:
         raise InputError(
-            f"no vehicle's name has {' '.join(words)!r}; evpinn vehicles lists all. For "
+            f"no vehicle's name contains {' '.join(words)!r}; evpinn vehicles lists all. For "
             "another car use --vehicle generic, or see docs/guides/add_your_car.md"
         )
     lines = [_line(vehicle) for vehicle in cars]
@@ -77,7 +77,7 @@ def show_vehicle(
     vehicle: Annotated[
         str,
         typer.Argument(
-            help="Name of the vehicle, some words of it, or a file.",
+            help="Name of the vehicle, words of its name, or path of a vehicle file.",
             autocompletion=complete_vehicle,
         ),
     ],
@@ -120,7 +120,7 @@ def _line(vehicle: Vehicle) -> dict[str, str | float | None]:
 
 
 def _consumption(vehicle: Vehicle) -> float:
-    """WLTP consumption by the priors, kWh/100 km; NaN for a robot."""
+    """WLTP consumption by the priors, kWh/100 km; NaN for a vehicle with a nominal speed."""
     if math.isfinite(vehicle.nominal_speed):
         return math.nan
     start = vehicle.initial

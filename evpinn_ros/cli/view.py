@@ -1,4 +1,4 @@
-"""`evpinn view`: a bag on its ROS topics."""
+"""`evpinn view`: plays a bag on its ROS topics."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ def view(
     rate: Annotated[
         float, typer.Option(min=0.01, max=1000.0, help="Speed of the replay; 1 is real time.")
     ] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Restart at the end.")] = False,
 ) -> None:
     """Play a bag on its ROS topics, from the moment a viewer subscribes until Ctrl-C.
 
     Viewers are `evpinn watch`, PlotJuggler, and Foxglove through foxglove_bridge. Pauses without
-    messages are cut to ten seconds. Refused if nodes run that would learn from the bag:
-    then give both viewer and bag another ROS_DOMAIN_ID.
+    messages are cut to ten seconds. Fails if running nodes would learn from the bag: then set
+    another ROS_DOMAIN_ID for this command and the viewer.
 
     Example: evpinn view bags/urban --rate 4 --loop
     """

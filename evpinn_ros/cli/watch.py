@@ -1,4 +1,4 @@
-"""`evpinn watch`: the live view of a running system."""
+"""`evpinn watch`: shows a live view of running nodes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def watch(
     json_file: JsonOption = None,
     units: UnitsOption = UnitSystem.METRIC,
 ) -> None:
-    """Show what a running system knows: parameters, power, energy, what is missing.
+    """Show live what running nodes publish: parameters, power, energy, and what is missing.
 
-    Receives the topics of nodes started by `evpinn run` or a launch file, on this machine or, with
-    the same ROS_DOMAIN_ID, another; publishes nothing, and ends with Ctrl-C. Without a terminal it
-    prints a line a second. --json writes an object a second, one per line, to a new file, or to
-    stdout without the view.
+    Subscribes to nodes that `evpinn run` or a launch file started, on this machine or on another
+    with the same ROS_DOMAIN_ID, until Ctrl-C; publishes nothing. Without a terminal it prints a
+    line a second. --json writes one object per line, each second, to a new file, or to stdout in
+    place of the view.
 
     Example: evpinn watch --namespace /ev
     """

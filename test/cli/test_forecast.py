@@ -162,8 +162,8 @@ def test_how_far_at_a_speed_with_a_charge_is_one_line(evpinn, tmp_path, speed):
 
 @pytest.mark.parametrize("wrong", ["fast", "90 furlongs", "-3km/h", "0", "999km/h"])
 def test_a_speed_that_is_none_and_no_plan_at_all_are_refused(evpinn, tmp_path, wrong):
-    assert "say a speed with its unit" in evpinn("forecast", "--speed", wrong, cwd=tmp_path).stderr
-    assert "name a plan, or say --speed" in evpinn("forecast", cwd=tmp_path).stderr
+    assert "give a speed with a unit" in evpinn("forecast", "--speed", wrong, cwd=tmp_path).stderr
+    assert "give a plan, or --speed" in evpinn("forecast", cwd=tmp_path).stderr
 
 
 def test_a_track_without_times_takes_a_speed(evpinn, tmp_path):

@@ -81,7 +81,7 @@ def test_json_is_a_file_or_stdout_and_never_an_input(path: str, tmp_path: Path) 
             for given in ("-", str(tmp_path / "new.json")):
                 assert parameter.process_value(context, given) == Path(given)
             context.resilient_parsing = False
-            with pytest.raises(typer.BadParameter, match=r"not a \.json file"):
+            with pytest.raises(typer.BadParameter, match=r"only \.json files"):
                 parameter.process_value(context, str(tmp_path / "drive.csv"))
 
 

@@ -32,10 +32,10 @@ def test_a_pipe_has_a_line_every_ten_seconds_and_none_before(written, monkeypatc
 def test_reading_many_logs_says_how_far_it_is(written, monkeypatch):
     now = 100.0
     monkeypatch.setattr(console.time, "monotonic", lambda: now)
-    for _ in console.each("finding trips", [*range(40)], "logs"):
+    for _ in console.track("finding trips", [*range(40)], "logs"):
         now += 0.8
     assert written.getvalue().splitlines()[0] == "finding trips: 13 of 40 logs, 32 %, 22 s left"
-    assert [*console.each("finding trips", ["one"], "logs")] == ["one"]
+    assert [*console.track("finding trips", ["one"], "logs")] == ["one"]
     assert written.getvalue().count("\n") == 3
 
 

@@ -175,9 +175,9 @@ def test_a_demo_is_stopped_with_its_nodes(number, tmp_path):
 
 def test_a_full_disk_is_one_line(on_a_full_disk, short, tmp_path):
     for arguments, left in (
-        (("simulate", "full_1", "--duration", 60), "nothing is left of it"),
-        (("replay", short, "--out", "full_2"), "the bag is cut there"),
-        (("convert", short, "full_3"), "the bag is cut there"),
+        (("simulate", "full_1", "--duration", 60), "it was removed"),
+        (("replay", short, "--out", "full_2"), "the bag is incomplete"),
+        (("convert", short, "full_3"), "the bag is incomplete"),
     ):
         ended = on_a_full_disk(8, *arguments, *VEHICLE, cwd=tmp_path)
         assert ended.returncode == 1
