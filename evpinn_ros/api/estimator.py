@@ -36,11 +36,11 @@ NAN = math.nan
 
 
 class Estimate(NamedTuple):
-    """Estimate of one moment; positive when drawn from the battery.
+    """Prediction for one sample; power and energy are positive when drawn from the battery.
 
     Attributes:
         t_s: time of the sample, s, as it was given.
-        power_w: battery power, W, predicted without any battery reading of this moment.
+        power_w: battery power, W, predicted without the battery readings of this sample.
         sigma_w: its 1-sigma, W.
         energy_j: energy since the start, J: measured where the battery was, otherwise predicted.
         energy_sigma_j: its 1-sigma, J.
@@ -76,12 +76,12 @@ class Estimator:
         mode: str = "hybrid",
         state: str | os.PathLike[str] | None = None,
     ) -> None:
-        """Begin with the vehicle file, or with what was learned before.
+        """Start from the vehicle file, or from what was learned before.
 
         Args:
             vehicle: name or file of a vehicle, or a `Vehicle`.
             mode: `hybrid` or `paper`.
-            state: file that `save`, or a replay with `state`, wrote.
+            state: file written by `save`, or by a replay with `state`.
 
         Raises:
             InputError: the vehicle, mode or file does not exist, or the state belongs to another
@@ -157,7 +157,7 @@ class Estimator:
         return Estimate(t_s, power.power, power.sigma, energy.consumed, energy.consumed_sigma)
 
     def begin_next_drive(self) -> None:
-        """Begin a new drive: time and energy start anew, and what was learned is kept."""
+        """Begin a new drive: time and energy start at zero, and what was learned is kept."""
         self._chain.begin_next_drive()
 
     @property
@@ -180,7 +180,7 @@ class Estimator:
 
     @property
     def next_model(self) -> PowerModel:
-        """The car as it would begin its next drive: the one that `save` writes."""
+        """The car as it would start its next drive: what `save` writes."""
         estimator = self._car.at_next_drive()
         return known_model(estimator.model(), estimator.parameters(), self.vehicle)
 
@@ -193,6 +193,10 @@ class Estimator:
         """Save what was learned about the car and its battery to a file.
 
         Give this file as `state` to `Estimator` or `evpinn_ros.replay` to continue from it.
+
+        Raises:
+            InputError: another process learns into the file.
+            OSError: the file cannot be written.
         """
         with StateClaim(Path(path)):
             self._car.write_state(Path(path))

@@ -1,4 +1,4 @@
-"""`forecast`: energy of plans, `edge_energies`: that of a road network's edges."""
+"""`forecast`: energy of plans; `edge_energies`: energy of the edges of a road network."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TEMPERATURE_STEP = 10.0  # K, of `what_if`
-LONG_ENOUGH, FULL_STEPS = 3.0, 3000  # times the capacity, that empty any battery
+LONG_ENOUGH, FULL_STEPS = 3.0, 3000  # multiple of the capacity that empties any battery; steps
 FARTHEST = 3e6  # m; no car gets farther
-ROUNDS = 20  # of finding how far
+ROUNDS = 20  # iterations of `until_empty`
 CHARGES = ("charge_pct", "charge_sigma_pct")
 TINY = 1e-9  # of a step; a remainder below it is rounding, and makes no row
 AIR_DENSITIES = (0.3, 2.0)  # kg/m^3, from the highest road to an arctic winter
@@ -105,7 +105,7 @@ def forecast(
             optional `distance_m` (otherwise from the speeds), and `elevation_m` or `grade`
             (otherwise a flat road). Legs: columns with units in their names, two of `length_m`,
             `duration_s` and `speed_kmh`; optional `climb_m`, `grade`, or `start_elevation_m` and
-            `end_elevation_m`. A column that is not used is named in a warning.
+            `end_elevation_m`. A warning names unused columns.
             Or the path of a file: such a table, a GPX or GeoJSON file, the JSON of a
             route service, or a recorded drive.
         car: name or file of a vehicle, or a `Vehicle`, of which nothing was learned; or the
@@ -118,26 +118,25 @@ def forecast(
             makes likely.
         head_wind: head wind, m/s over ground.
         payload_kg: people and luggage in addition to those when the car was learned, kg.
-        stood_h: hours since the last drive, in which tyres and cabin cool down: the plan is
-            another drive, as of a car that was read from a file. If not given, a `Result` or
-            `Estimator` in a drive goes on with it; others begin cold.
+        stood_h: hours since the last drive, in which tyres and cabin cool down; the plan starts a
+            new drive. If not given, the plan continues the drive of a `Result` or `Estimator`;
+            a car that has not driven yet starts cold.
         prewarmed: True if the cabin was heated or cooled before the start, while plugged in.
-        steady: True: speed is a straight line between points, and legs are driven evenly. False:
-            lines and legs of some seconds or more also take the usual energy of speeding up and
-            braking. If not given, True for recorded drives, and for paths and trajectories that a
-            controller follows; otherwise False. Points on a line between two others, and borders
-            between legs of one speed, change nothing.
+        steady: True: the car follows the planned speeds exactly. False: on lines and legs that
+            last some seconds, it also speeds up and brakes as drivers usually do. If not given,
+            True for recorded drives, and for paths and trajectories that a controller follows;
+            otherwise False. Splitting a straight line or a leg changes nothing.
         air_density: kg/m^3; if not given, that of the vehicle file at the temperature outside.
-        speed_kmh: of a track in a file that has neither times nor speeds, km/h.
+        speed_kmh: speed on a track in a file without times and speeds, km/h.
         every_m: distance between the rows of the result, m; if not given, they are the points of
             the plan.
 
     Returns:
-        One row for each point (and each 50 m of a track with heights), by `t_s` since the first:
-        the plan; power, W (with the acceleration and slope that follow the point); energy since
-        the first point, J, with its 1-sigma; and the state of charge, percent, with its 1-sigma.
-        The charge is NaN if it or the capacity is unknown, and 0 or less from where the battery
-        would be empty.
+        One row for each point (and each 50 m of a track with heights), by `t_s`, s since the
+        first: the plan; power, W (with the acceleration and slope that follow the point); energy
+        since the first point, J, with its 1-sigma; and the state of charge, percent, with its
+        1-sigma. The charge is NaN if it or the capacity is unknown, and 0 or less from where the
+        battery would be empty.
 
     Raises:
         InputError: a column is missing, the vehicle does not exist, or the plan is invalid
@@ -153,7 +152,7 @@ def forecast(
 
 
 def _grid(planned: PlannedEnergy, every: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Times, s, and columns of a forecast at each so many m and at its end."""
+    """(times, s; columns) of a forecast every `every` m and at its end."""
     whole = planned.energies.on_curve
     if whole.curve is None or not whole.curve.distance[-1] > 0.0:
         return planned.rows  # the car stands
@@ -187,9 +186,9 @@ def with_state(
     prewarmed: bool,
     steady: bool | None,
 ) -> PlanConditions:
-    """Conditions with those of the car and of its driving, in the units of people."""
+    """`given` with the state of the car and the manner of driving; PlanError if out of range."""
     if charge_pct is not None and not 0.0 <= charge_pct <= 100.0:
-        raise PlanError(f"{charge_pct:g} is no state of charge, which is 0 to 100 percent")
+        raise PlanError(f"a state of charge of {charge_pct:g} is not within 0 to 100 percent")
     if stood_h is not None and not 0.0 <= stood_h <= CONDITION_RANGES["stood"][1] / 3600.0:
         raise PlanError(f"the car cannot have stood for {stood_h:g} h")
     return replace(
@@ -204,7 +203,7 @@ def with_state(
 def planned_energy(
     plan: Any, car: Any, conditions: PlanConditions = UNSAID, air_density: float | None = None
 ) -> PlannedEnergy:
-    """The forecast as a value, with the arguments and errors of `forecast`."""
+    """Forecast of a plan; arguments and errors as of `forecast`."""
     vehicle, model, account = known_car(car)
     if account is not None and conditions.stood is not None:  # the plan is another drive
         model = car.next_model
@@ -233,7 +232,7 @@ def _when_full(battery: BatteryModel, energies: Forecast, capacity: Uncertain) -
 
 
 def level_road(speed: float, length: float = FARTHEST) -> Legs:
-    """So many m of an endless level road, or as one trip may last, at a mean speed, m/s."""
+    """`length`, m, of an endless level road at a mean speed, m/s, cut to the longest trip."""
     length = min(length, 0.9 * LONGEST * speed)
     road = legs_of_trip(np.array([length]), np.array([length / speed]))
     return replace(road, onward=True)
@@ -242,10 +241,10 @@ def level_road(speed: float, length: float = FARTHEST) -> Legs:
 def until_empty(
     speed: float, car: Any, conditions: PlanConditions, sigmas: float = 0.0
 ) -> float | None:
-    """Length of a level road whose forecast ends with the charge plus so many sigmas at 0, m.
+    """Length, m, of a level road at whose end the charge plus `sigmas` of its 1-sigma is 0.
 
-    None if that is unknown or never; 0 if the charge does not even give the speed. A part of a
-    longer road takes other energy (uneven speed).
+    None if unknown or never; 0 if the charge does not suffice to reach the speed. Iterates,
+    because energy is not proportional to length (uneven speed).
     """
     planned = planned_energy(level_road(speed), car, conditions)
     length = planned.used_up(sigmas)
@@ -263,7 +262,7 @@ def until_empty(
 def what_if(
     plan: Any, car: Any, conditions: PlanConditions = UNSAID, units: Units = METRIC
 ) -> list[Change]:
-    """Energy of variations of a trip minus its own; arguments and errors as of `forecast`."""
+    """Changes of energy by a slower, faster, colder or warmer trip; errors as of `forecast`."""
     vehicle, model, _ = known_car(car)
     given = as_plan(plan, vehicle)
     base = planned_energy(given, car, conditions)
@@ -309,12 +308,13 @@ def basis_of(
     basis = PlanBasis.of(model, conditions, density=air_density)
     density = basis.weather.air_density
     if not AIR_DENSITIES[0] <= density <= AIR_DENSITIES[1]:
-        raise InputError(f"air_density is {density:g}, not {AIR_DENSITIES} kg/m^3")
+        least, most = AIR_DENSITIES
+        raise InputError(f"air_density is {density:g}, not within {least:g} to {most:g} kg/m^3")
     return basis
 
 
 def as_plan(plan: Any, vehicle: Vehicle, speed_kmh: float | None = None) -> Plan | Legs:
-    """The plan of arguments `plan` and `speed_kmh` of `forecast`, or its InputError."""
+    """The plan in the arguments `plan` and `speed_kmh` of `forecast`; InputError if invalid."""
     if speed_kmh is not None and not isinstance(plan, str | os.PathLike):
         raise InputError("speed_kmh is of a track in a file; this plan has its own speeds")
     if isinstance(plan, Plan | Legs):
@@ -360,14 +360,14 @@ class EdgeEnergies:
     def route(self, edges: Iterable[Hashable]) -> Uncertain:
         """Energy of a route, J, and its 1-sigma: the `forecast` of its edges as a trip.
 
-        The sum of the table leaves out the start from standing (cold if the car is cold), the
-        stop at the end, and changes of speed and slope between the edges.
+        Unlike the sum of the table, it includes the start from standing (cold if the car is
+        cold), the stop at the end, and changes of speed and slope between the edges.
 
         Args:
             edges: labels of the edges in the index, in the order in which they are driven.
 
         Raises:
-            InputError: there is no such edge, or they are no trip (`PlanError`).
+            InputError: an edge is not in the table, or the edges make no trip (`PlanError`).
         """
         return self._edges.route(self._places(edges))
 
@@ -375,7 +375,7 @@ class EdgeEnergies:
         """Energy of one route minus that of another, J, and its 1-sigma without shared errors.
 
         Raises:
-            InputError: there is no such edge.
+            InputError: an edge is not in the table.
         """
         return self._edges.difference(self._places(route), self._places(other))
 
@@ -400,10 +400,10 @@ def edge_energies(
 ) -> EdgeEnergies:
     """Energies of all edges of a road network at once, for a router.
 
-    Each edge is driven at its mean speed, and takes for each metre the energy of speeding up and
-    braking that is usual at this speed. So edges add up: cutting one in two changes no sum. The
-    table assumes warm tyres and cabin, and no change of speed or slope at the ends of an edge. A
-    downhill edge may return energy, so a router needs the Bellman-Ford algorithm, or potentials.
+    Each edge is driven at its mean speed and takes, per metre, the energy of speeding up and
+    braking that is usual at this speed. So edges add up: splitting one changes no sum. The table
+    assumes warm tyres and cabin, and no change of speed or slope at the ends of an edge. A
+    downhill edge may return energy, so a router needs the Bellman-Ford algorithm or potentials.
 
     Example:
         >>> import evpinn_ros as ev

@@ -1,4 +1,4 @@
-"""Replay of a recorded drive from Python."""
+"""Replays of recorded drives from Python."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def replay(
         mode: `hybrid` or `paper`; if not given, that of `params`, otherwise `hybrid`.
         params: parameter file of the nodes.
         state: file of what was learned: read at the start if it exists, written at the end. With
-            the same file, each drive of a car begins with what the drives before it taught.
+            the same file, each drive of a car starts from what its earlier drives taught.
         withhold_battery_after: time, s, from which on the battery is hidden, so that power and
             energy are predicted from speed alone.
         warm_up: time at the start that is not scored, s.
@@ -68,8 +68,8 @@ def replay(
         can_profile: profile of a CAN log; that of the vehicle if not given.
         trust_profile: True to use the profile even if the traffic contradicts it.
         columns: corrections for the columns of a table, `speed=NAME` or `speed=NAME:km/h`.
-        car: which one, if a table or bag holds several: as its column of cars names it, or the
-            namespace of its topics.
+        car: which of several cars to read: its name in a table's column of cars, or the namespace
+            of its topics in a bag.
         elevation: folder of SRTM (`N48E011.hgt`) or GeoTIFF tiles, which give heights to a drive
             that has positions.
 
@@ -104,7 +104,7 @@ def replay_trips(
     warm_up: float = WARM_UP,
     **options: Any,
 ) -> list[Result]:
-    """Replay each trip of a log or a folder of logs; each begins with what those before taught.
+    """Replay each trip of a log or a folder of logs; each starts from what earlier ones taught.
 
     A trip ends where the car is parked for ten minutes or charged.
 
@@ -115,9 +115,9 @@ def replay_trips(
 
     Args:
         drive: as `replay` takes it, or a folder, whose logs follow in the order of their names.
-        vehicle: the same.
-        withhold_battery_after: s of each trip from which on the battery is hidden.
-        warm_up: s at the start of each trip that are not scored.
+        vehicle: name or file of a vehicle, or a `Vehicle`.
+        withhold_battery_after: time, s, of each trip from which on the battery is hidden.
+        warm_up: time at the start of each trip that is not scored, s.
         options: `mode`, `params`, `state`, `can_profile`, `trust_profile`, `columns`, `car`,
             `elevation` of `replay`.
 
@@ -143,7 +143,7 @@ def _opened(
     elevation: str | os.PathLike[str] | None = None,
     **reading: Any,
 ) -> Iterator[tuple[CarReplay, list[Source]]]:
-    """The car and its logs, `reading` of `ReadOptions`; then writes what was learned."""
+    """Yields the car and its logs, opened with `ReadOptions`; then writes what was learned."""
     written = None if state is None else Path(state)
     terrain = None if elevation is None else Terrain(Path(elevation))
     with StateClaim(written):

@@ -45,7 +45,7 @@ class Result:
         vehicle: the vehicle of the drive.
         options: the options of the replay.
         car: the learned car at the end of the drive; None in mode paper.
-        rested: the same as it begins its next drive.
+        rested: the learned car as it starts its next drive; None in mode paper.
         account: energy counted until the end, with what is known about the battery.
     """
 
@@ -57,7 +57,7 @@ class Result:
     account: EnergyAccount
 
     def __repr__(self) -> str:
-        """Summary of the drive in one line, for a prompt or a notebook."""
+        """Summary of the drive in one line."""
         path = self.metrics["input"]["path"]
         line = owner_line(self.replayed.drive, self.metrics)
         return f"<Result of {path}, {self.vehicle.key}: {line}>"
@@ -69,7 +69,7 @@ class Result:
 
     @property
     def problem(self) -> str | None:
-        """Part of the drive that could not be read, in one line; None if all was read."""
+        """Why part of the drive could not be read, in one line; None if all was read."""
         return self.replayed.problem
 
     @cached_property
@@ -135,11 +135,11 @@ class Result:
 
     @cached_property
     def forecasts(self) -> pd.DataFrame:
-        """Energy of parts of the drive: forecast as plans at their beginning, and measured.
+        """Measured energy of parts of the drive, beside its forecast made when the part began.
 
         Columns: `begin_s`, `end_s`, `measured_j`, `forecast_j`, `sigma_j`, and `covered`, True
-        if the 90 % band contains the measured energy. Empty in mode
-        paper, and if no part is complete.
+        if the 90 % band contains the measured energy. Empty in mode paper, and if no part is
+        complete.
         """
         rows = [
             (*outcome.span, outcome.measured, outcome.forecast, outcome.sigma, outcome.covered)
@@ -154,11 +154,11 @@ class Result:
 
     @property
     def next_model(self) -> PowerModel:
-        """The learned car as it begins its next drive: the one in its state file."""
+        """The learned car as it starts its next drive: the one in its state file."""
         return known_model(self.rested, self.replayed.drive.final, self.vehicle)
 
     def write_report(self, path: str | os.PathLike[str]) -> None:
-        """Write the report that `evpinn replay --report` writes: one HTML file, for a browser."""
+        """Write the HTML report of `evpinn replay --report`; OSError if it cannot be written."""
         # Imported here: pictures take longer to import than everything else together.
         from evpinn_ros.report.drive_page import write_replayed
 

@@ -1,4 +1,4 @@
-"""The only error that a person can correct: wrong input, in one line."""
+"""`InputError`, for everything that a person can correct, and one-line texts of errors."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class InputError(Exception):
 
 @contextmanager
 def as_input_error(what: object = None, *kinds: type[Exception]) -> Iterator[None]:
-    """Raise errors of a block as InputError, one line that names `what`, else the error's file."""
+    """Turn OSError and `kinds` in a block into InputError, which names `what`, else the file."""
     caught: tuple[type[Exception], ...] = (OSError, *kinds)
     try:
         yield
     except caught as error:
-        begin = getattr(error, "filename", None) if what is None else what
-        raise InputError(f"{begin}: {reason_of(error)}") from error
+        name = getattr(error, "filename", None) if what is None else what
+        raise InputError(f"{name}: {reason_of(error)}") from error
 
 
 def reason_of(error: BaseException) -> str:
@@ -53,17 +53,17 @@ def printable(text: str) -> str:
     return shown if len(shown) <= LONGEST_TEXT else shown[:LONGEST_TEXT] + "..."
 
 
-# Of a recording of several cars; a command of fleets does not have the option.
+# Appended to the error for a recording of several cars; `evpinn fleet` has no --car.
 SAY_CAR = "say --car NAME for one of them, or use what evpinn convert --car NAME writes"
 
 
 def near_names(name: str, known: Iterable[str]) -> str:
-    """Words to append to an error: known names similar to the typed one; empty without any."""
+    """Text to append to an error: known names similar to `name`; empty if there are none."""
     by_lower = {name_known.lower(): name_known for name_known in known}
     near = [by_lower[lower] for lower in get_close_matches(name.lower(), by_lower, cutoff=0.6)]
     return f"; did you mean {', '.join(near)}" if near else ""
 
 
 def known_names(name: str, known: Collection[str]) -> str:
-    """Words to append to an error: similar names, then all known names."""
+    """Text to append to an error: similar names, then all known names."""
     return f"{near_names(name, known)}; known are {', '.join(known)}"

@@ -1,4 +1,4 @@
-"""JSON for scripts."""
+"""JSON without NaN and infinity."""
 
 from __future__ import annotations
 

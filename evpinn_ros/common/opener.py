@@ -1,9 +1,8 @@
 """Opens every input file of the package, and refuses anything but a regular file.
 
-A named pipe would block, and a device never ends. Limits for parsers: bytes of a file, ratio of
-compression, characters of a line. A foreign parser of an unsafe format runs in a process of its
-own (`common.sandbox`). Opened files are remembered, so that no output overwrites them
-(`common.writer`).
+A named pipe would block, and a device never ends. Parsers limit the bytes of a file, the ratio of
+compression and the characters of a line. Foreign parsers of unsafe formats run in
+`common.sandbox`. Opened files are remembered, so that `common.writer` does not overwrite them.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ _files: dict[tuple[int, int], tuple[Path, bool]] = {}
 
 
 def most_unpacked(size: int) -> int:
-    """Most bytes that a packed file of this size may unpack to; bags shrink by 100 at most."""
+    """Most bytes that a packed file of `size` bytes may unpack to; bags shrink by at most 100."""
     return FREE_BYTES + RATIO * size
 
 
 def open_file(path: Path) -> BinaryIO:
-    """A file as bytes; OSError if unreadable or not regular, ValueError for an impossible name."""
+    """Open a file to read bytes; OSError if not readable or regular, ValueError for a bad name."""
     return open(path, "rb", opener=_open)
 
 
 def open_unpacked(path: Path) -> IO[bytes]:
-    """A file, unpacked if it is a `.gz`; reading raises OSError beyond `most_unpacked` bytes."""
+    """Open a file, unpacked if `.gz`; reading raises OSError beyond `most_unpacked` bytes."""
     if path.suffix.lower() != ".gz":
         return open_file(path)
     return cast(IO[bytes], io.BufferedReader(_BoundedGzip(path), 1 << 16))
@@ -67,7 +66,7 @@ def check_file(path: Path) -> int:
 
 
 def input_at(path: Path) -> Path | None:
-    """Path under which this process opened the same file as input; None if it did not."""
+    """Path under which this process has read the same file; None if it has not."""
     with suppress(OSError, ValueError):
         status = path.stat()
         if (named := _named(status)) is not None and not named[1]:
@@ -100,7 +99,7 @@ def _open(path: str, flags: int) -> int:
     if stat.S_ISDIR(status.st_mode):  # Python's own error is clearer
         return descriptor
     os.close(descriptor)
-    raise OSError(errno.EINVAL, "a pipe or a device, no file", path)
+    raise OSError(errno.EINVAL, "a pipe or a device, not a file", path)
 
 
 class _BoundedGzip(io.RawIOBase):

@@ -1,4 +1,4 @@
-"""Tables that show untrusted texts literally."""
+"""Tables for the terminal that show untrusted text literally."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from evpinn_ros.common.errors import printable
 
 
 class PlainTable(Table):
-    """A table without markup: names of topics, files and cars are shown literally."""
+    """A table that does not interpret markup in names of topics, files and cars."""
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
-"""Runs a foreign parser in a process of its own, because it may crash, hang or fill the memory.
+"""Runs a foreign parser in its own process, because it may crash, hang or fill the memory.
 
-Its limits depend on the size of the file. The process is `python -m evpinn_ros.common.sandbox
-MODULE:FUNCTION IN OUT`.
+The process is `python -m evpinn_ros.common.sandbox MODULE:FUNCTION IN OUT`; its limits depend on
+the size of IN.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ParserLimits(NamedTuple):
 
 
 def run_apart(function: str, path: Path, out: Path) -> str | None:
-    """Have `MODULE:NAME` read a file and write another; returns why it failed, or None."""
+    """Run `MODULE:NAME` on a file and an output path; returns why it failed, or None."""
     limits = ParserLimits.of(check_file(path))
     command = [sys.executable, "-B", "-m", __spec__.name, function, str(path), str(out)]
     few = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1"}
@@ -94,7 +94,7 @@ def _limit(limits: ParserLimits) -> None:
 
 
 def be_the_parser(function: str, path: Path, out: Path) -> NoReturn:
-    """Run the parser in this process, and end it with 0, or with 1 and a line."""
+    """Run the parser in this process and exit with 0, or with 1 and one line on stderr."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     code = 1
     try:

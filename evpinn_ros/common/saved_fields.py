@@ -77,22 +77,22 @@ class StateError(InputError, ValueError):
 
 
 class Saveable(ABC, Generic[State]):
-    """An object whose state is saved; a restored state must have equal fields `SAME`."""
+    """An object whose state is saved; `restore` refuses one that differs in a field of `SAME`."""
 
     @abstractmethod
     def saved(self) -> State:
-        """The state with which `take` goes on from here."""
+        """The present state, for `take`."""
 
     @abstractmethod
     def take(self, saved: State) -> None:
-        """Go on from a state that is within its ranges; ValueError if it is impossible."""
+        """Continue from a state that is within its ranges; ValueError if it is impossible."""
 
     def export(self) -> Any:
         """The state to save, made of numbers, text, lists and mappings only."""
         return plain(self.saved())
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from the result of `export`; StateError if impossible or of another object."""
+        """Continue from the result of `export`; StateError if impossible or of another object."""
         before = self.saved()
         _refuse_another(saved, before)
         try:
@@ -104,7 +104,7 @@ class Saveable(ABC, Generic[State]):
 
 
 def plain(value: Any) -> Any:
-    """The form in which a value is saved."""
+    """A value as numbers, text, lists and mappings, for JSON."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if is_dataclass(value) or hasattr(value, "_fields"):
@@ -155,7 +155,7 @@ class Declared(NamedTuple):
     kind: Any  # its type, without None
     range: Range | None  # of its numbers, None if not declared
     optional: bool  # whether it may be None
-    lackable: bool  # whether it has a default, so that it may be missing in a file
+    lackable: bool  # whether it may be missing in a file, because it has a default
 
 
 @cache
@@ -187,7 +187,7 @@ def figures(kind: Any) -> dict[str, Figure]:
 
 
 def is_within(value: Any) -> bool:
-    """True if all numbers of a dataclass are within the ranges that it declares."""
+    """Whether all numbers of a dataclass are within the ranges that it declares."""
     for name, field in declared(cast("Any", type(value))).items():
         content = getattr(value, name)
         if field.range is not None and content is not None:

@@ -1,4 +1,4 @@
-"""Units of people and files in SI, the units of the code and the topics."""
+"""Units for people and files; code and topics use SI."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ KMH = 1 / 3.6  # m/s
 MEGABYTE, MEBIBYTE = 1e6, 1 << 20
 
 
-SMALL_KWH = 0.1  # of a robot's hour or a car's half kilometre: shown with two more digits
+SMALL_KWH = 0.1  # an hour of a robot, 500 m of a car; less is shown with two more digits
 
 
 def kwh_digits(kwh: float, usual: int) -> int:
-    """Digits after the point of energies in a table; `kwh` is the largest of them."""
+    """Digits after the point of energies whose largest is `kwh`: `usual`, or two more."""
     return usual + 2 if abs(kwh) < SMALL_KWH else usual
 
 

@@ -2,7 +2,7 @@
 
 A file is complete or absent, never follows a link that another user made, and overwrites no input:
 also after a power failure or a kill, on a full disk, beside another writer, and in a folder of
-another user. OSErrors are passed on.
+another user. Functions raise OSError.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def plain_cell(text: str) -> str:
 
 @contextmanager
 def replaced(path: Path, *, private: bool = False, update: bool = False) -> Iterator[BinaryIO]:
-    """A draft that replaces a file once it is complete, and is removed after an error; or OSError.
+    """Yields a draft that replaces a file once it is complete, and is removed after an error.
 
     The draft is made by `mkstemp`, and flushed to the disk before it replaces the file. A pipe or
     device is written directly. Only its owner can read a new `private` file. InputError for a file
@@ -61,8 +61,8 @@ def replaced(path: Path, *, private: bool = False, update: bool = False) -> Iter
     if not update:
         _refuse_input(path, target)
     if target.exists() and not target.is_file():
-        with target.open("wb") as other:
-            yield other
+        with target.open("wb") as device:
+            yield device
         return
     _sweep(target.parent)
     writer = f"{_machine()}-{os.getpid()}-{_start_of(os.getpid())}"
@@ -119,7 +119,7 @@ def mark(path: Path) -> None:
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a file to a path without a file, and keep its holes."""
+    """Copy a file, with its holes, to a new file."""
     with open_file(source) as content, new_file(target) as copy:
         for begin, end in _data_of(content):
             content.seek(begin)
@@ -158,7 +158,7 @@ class Held:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Keep others from writing a file between reading and writing it; OSError after 10 s.
+    """Lock a file while it is read and rewritten; TimeoutError after 10 s.
 
     The lock is on its folder: it leaves no lock file, and ends with a killed process.
     """
@@ -175,11 +175,11 @@ def claimed(path: Path) -> Iterator[None]:
 
 
 def resolved(path: Path) -> Path:
-    """The path with all links followed; OSError for a circle of links."""
+    """The path with all links followed; OSError for a loop of links."""
     try:
         return path.resolve()
     except RuntimeError as error:  # before Python 3.13
-        raise OSError(0, "its links lead in a circle", str(path)) from error
+        raise OSError(0, "a loop of links", str(path)) from error
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
@@ -283,7 +283,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _is_abandoned(draft: Path) -> bool:
-    """True if the writer of a draft has ended, which on another machine is assumed after a day."""
+    """Whether the writer of a draft has ended; on another machine, whether a day has passed."""
     name = _DRAFT.fullmatch(draft.name)
     if name is not None and name["machine"] == _machine():
         return _start_of(int(name["pid"])) != int(name["start"])

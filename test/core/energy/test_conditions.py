@@ -212,8 +212,8 @@ def test_conditions_of_one_plan_go_before_those_of_all_and_the_answer_has_both()
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        ({"charge_pct": 180.0}, "180 is no state of charge, which is 0 to 100 percent"),
-        ({"charge_pct": -1.0}, "-1 is no state of charge"),
+        ({"charge_pct": 180.0}, "a state of charge of 180 is not within 0 to 100 percent"),
+        ({"charge_pct": -1.0}, "a state of charge of -1 is not"),
         ({"stood_h": -2.0}, "the car cannot have stood for -2 h"),
     ],
 )
