@@ -21,7 +21,7 @@ from evpinn_ros.topics import NAMESPACE
 from evpinn_ros.topics.node_parameters import Value, of_node
 
 NODES = {"estimator": EstimatorNode, "energy": EnergyNode, "can_bridge": CanBridgeNode}
-"""The bridge last, because it publishes at once, and its listeners take seconds to load."""
+"""The bridge is last: it publishes at once, and its subscribers take seconds to load."""
 
 
 def run(
@@ -32,10 +32,10 @@ def run(
     beside: AbstractContextManager[object] | None = None,
     ros_args: Sequence[str] = (),
 ) -> int:
-    """Run everything until SIGINT or SIGTERM; returns 1, with a line on stderr, for wrong input.
+    """Run the nodes until SIGINT or SIGTERM; returns 1, with a line on stderr, for wrong input.
 
-    `parameters` override those of a file; `record` is the folder of a bag with raw frames;
-    `beside` is entered before the nodes start; `ros_args` are arguments after `--ros-args`.
+    `parameters` override those of a file. `record` is the folder of a bag for all topics and raw
+    frames. `beside` is entered before the nodes start. `ros_args` follow `--ros-args`.
     """
     args = ["--ros-args", *ros_args] if ros_args else []
     options: dict[str, dict[str, Any]] = {

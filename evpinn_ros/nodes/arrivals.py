@@ -10,28 +10,28 @@ from typing import Any, NamedTuple
 from evpinn_ros.core.signals.readings import NANOSECONDS
 from evpinn_ros.nodes.diagnosis import LATELY
 
-MOST_PUBLISHERS = 16  # of one topic, followed at the same time
-FUTURE = 0.5  # s
-# s by which stamps may run ahead from message to message; bags are replayed ten times as fast
+MOST_PUBLISHERS = 16  # of a topic, tracked at the same time
+FUTURE = 0.5  # s by which stamps may be ahead of the clock
+# s by which stamps may advance more than time between two messages: bags play at up to 10 times
 LEAP = 10.0
 
 
 class NumberCheck(NamedTuple):
-    """Result of checking the number of a message."""
+    """Result of checking the sequence number of a message."""
 
-    lost: int  # messages of its publisher lost right before it
-    by_turns: bool  # True if another publisher of the topic takes turns
+    lost: int  # messages of its publisher, right before it
+    by_turns: bool  # whether another publisher of the topic sends in turn
 
 
-THE_NEXT = NumberCheck(0, by_turns=False)
+IN_SEQUENCE = NumberCheck(0, by_turns=False)
 
 
 class MessageNumbers:
-    """Counts lost messages, and finds a second publisher, by the numbers of messages.
+    """Counts lost messages and detects a second publisher, by sequence numbers.
 
-    Numbers fall back once when a publisher restarts, and repeatedly when there are two. (DDS
-    counts a killed publisher for 20 s.) Jazzy's rclpy does not tell the publisher of a message, so
-    nothing counts as lost for `LATELY` s after numbers fell back.
+    Numbers fall once when a publisher restarts, and repeatedly when there are two. (DDS counts a
+    killed publisher for 20 s more.) Jazzy's rclpy does not name the publisher of a message, so
+    nothing counts as lost for `LATELY` s after numbers fell.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class MessageNumbers:
         publisher = bytes(gid["data"]) if gid else b""
         if number == newest + 1 and publisher in numbers and numbers[publisher] == newest:
             numbers[publisher] = number
-            return THE_NEXT
+            return IN_SEQUENCE
         if publisher not in numbers and len(numbers) >= MOST_PUBLISHERS:
             numbers.clear()
         before = numbers.get(publisher, number - 1)
@@ -76,4 +76,4 @@ class StampWatch:
         if last is None:
             return None
         leap = (stamp_ns - last[0]) / NANOSECONDS - (steady - last[1])
-        return f"stamps leapt ahead by {leap:.0f} s" if leap > LEAP else None
+        return f"stamps jumped ahead by {leap:.0f} s" if leap > LEAP else None

@@ -57,9 +57,9 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self.received: Counter[Topic] = Counter()  # messages by input
         self.published: Counter[Topic] = Counter()  # messages by output
         self.bad: Counter[str] = Counter()  # unused messages, by topic and reason
-        self._usual: set[str] = set()  # those of `bad` that need no attention
-        self._lasting: dict[str, float] = {}  # those of `bad` shown only at first; newest, s
-        self._refused: dict[str, set[str]] = {}  # reasons by input since a message of it was used
+        self._usual: set[str] = set()  # keys of `bad` that need no attention
+        self._lasting: dict[str, float] = {}  # keys of `bad` that are shown once; newest, s
+        self._refused: dict[str, set[str]] = {}  # reasons by input, since its last used message
         self._faults: Counter[str] = Counter()
         self._newest_fault = "", -math.inf  # text, and time, s
         self._outlets: dict[Topic, Any] = {}
@@ -69,7 +69,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self._lately = Lately()
         self._mismatched: dict[Topic, str] = {}
         self._notices: dict[str, tuple[str, float]] = {}
-        # A timer of the node's clock would stop the report when that clock stands still.
+        # A timer on the node's clock would stop when that clock stands still.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._phases: dict[str, str] = {}  # text of each phase at the last check
         self._logged: dict[str, str] = {}
@@ -98,7 +98,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         """Make the core and its resources; InputError if a parameter or a file is wrong."""
 
     def let_go(self) -> None:
-        """Undo `configure`, except endpoints and timers, which the base undoes."""
+        """Undo `configure`, except for endpoints and timers, which the base class destroys."""
 
     def begin(self) -> None:
         """Acquire the resources of an active node; InputError if that fails."""
@@ -123,20 +123,20 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         """Texts that are logged when they change, so they contain no counts or ages."""
         return ()
 
-    def begun(self, text: str, known: Iterable[Status] = ()) -> None:
-        """Log that the node is made; InputError for unused QoS overrides."""
+    def log_start(self, text: str, known: Iterable[Status] = ()) -> None:
+        """Log how the node starts; phases in `known` are not logged. InputError: unused QoS."""
         factory.refuse_unknown_overrides(self)
         self._logged = {phase.name: phase.text for phase in known}
         self.get_logger().info(printable(text))
 
-    def done(self, response: Any, text: str, problem: str | None = None) -> Any:
+    def respond(self, response: Any, text: str, problem: str | None = None) -> Any:
         """Fill and log the response of a service: `text`, or `problem` if it failed."""
         response.success, response.message = problem is None, problem or text
         self.log(Level.OK if problem is None else Level.WARN, response.message)
         return response
 
     def advertise(self, *outputs: Topic) -> None:
-        """Make publishers for `publish`; InputError if only typed ones are wanted but missing."""
+        """Make the publishers; InputError if only typed ones are wanted and not installed."""
         has_typed, all_typed = factory.is_installed(PACKAGE), not self.values.get(VECTORS, True)
         if all_typed and not has_typed:
             raise InputError(f"{VECTORS}: false, but {PACKAGE} is not installed")
@@ -148,7 +148,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self._made.append(partial(self.destroy_publisher, outlet))
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
-        """Subscribe, with `raw` to CDR bytes; a second publisher of an input is reported."""
+        """Subscribe to a topic (`raw`: to its CDR bytes), and report a second publisher."""
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             if not self.active:
@@ -184,7 +184,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
     def create_service(
         self, kind: Any, name: str, callback: Callable[[Any, Any], Any], **options: Any
     ) -> Any:
-        """As in rclpy, but an exception of a request is counted, and does not end the node."""
+        """As in rclpy, but an exception of the callback is counted and does not end the node."""
 
         async def safe(request: Any, response: Any) -> Any:
             self.calls[name] += 1
@@ -224,7 +224,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self._made.append(handle.unregister)
 
     def publish(self, messages: Iterable[tuple[Topic, Any]]) -> None:
-        """Publish messages that belong together; none if a number is not finite."""
+        """Publish messages that belong together, or none if a number in them is not finite."""
         try:
             ready = [
                 topic_and_message
@@ -253,11 +253,11 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         self._numbers = MessageNumbers()
 
     def now_ns(self) -> int:
-        """Time of the node's clock, ns, for stamps of frames and /diagnostics and for checks."""
+        """Time of the node's clock, ns."""
         return int(self.get_clock().now().nanoseconds)
 
     def notice(self, kind: str, text: str) -> None:
-        """Show a text in the diagnostics for `LATELY` seconds, and log it when it begins."""
+        """Show a text in /diagnostics for `LATELY` seconds, and log it at its first occurrence."""
         _, noticed = self._notices.get(kind, ("", -math.inf))
         self._notices[kind] = text, self.steady_s()
         if self.steady_s() - noticed > LATELY:
@@ -295,19 +295,19 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             yield unused
 
     def _refused_by(self, topic: Topic, policy: str) -> None:
-        self.notice(topic.name, f"a subscriber of {topic.name} wants another QoS: {policy}")
+        self.notice(topic.name, f"a subscriber of {topic.name} has incompatible QoS: {policy}")
 
     def _on_mismatch(self, topic: Topic, policy: str) -> None:
         self._mismatched[topic] = policy
         self.log(Level.WARN, f"incompatible QoS of {topic.name}: {policy}")
 
     def age(self, *either: Topic) -> float:
-        """Seconds since the last usable message of one of these inputs, NaN before the first."""
+        """Seconds since the last used message of any of these inputs, NaN before the first."""
         arrived = [self._arrivals[topic] for topic in either if topic in self._arrivals]
         return self._now_s(self.steady_s()) - max(arrived) if arrived else math.nan
 
     def why_silent(self, *either: Topic) -> str:
-        """The publishers of these inputs, and why their messages are not used, without counts."""
+        """The publishers of these inputs, and why their messages are not used."""
         reasons = []
         for topic, name in self._inputs.items():
             if topic not in either or not (publishers := self.count_publishers(name)):
@@ -321,7 +321,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return ", ".join(reasons) or "nobody publishes it"
 
     def stream(self, topic: Topic) -> Topic:
-        """The stream of an input (`SPEEDS` are one); BadMessage if a better one is received."""
+        """The stream of an input (`SPEEDS` are one); BadMessage if a better speed is received."""
         if topic not in topics.SPEEDS:
             return topic
         for better in topics.SPEEDS[: topics.SPEEDS.index(topic)]:
@@ -330,7 +330,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return topics.SPEED
 
     def _now_s(self, steady: float) -> float:
-        """Time for ages, s: simulated time, which may pause, or else the monotonic clock."""
+        """Time for ages, s: simulated time, which may pause, if in use, else the monotonic."""
         simulated = self.get_clock().ros_time_is_active
         return self.now_ns() / NANOSECONDS if simulated else steady
 
@@ -356,7 +356,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         return diagnostics(new_message, self.now_ns(), named, self.get_namespace())
 
     def _log_changes(self) -> None:
-        """Log a new phase if it has lasted since the last check."""
+        """Log each phase whose text has changed and is the same as at the last check."""
         for phase in self.phases() if self.configured else ():
             lasts = self._phases.get(phase.name) == phase.text
             self._phases[phase.name] = phase.text
@@ -375,7 +375,7 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             logger.info(text)
 
     def guarded(self, callback: Callable[..., object], name: str) -> Callable[..., None]:
-        """The callback, wrapped so that a bad message or an own fault cannot end the node."""
+        """Wrap a callback, so that a bad message or an internal fault cannot end the node."""
 
         @wraps(callback)  # rclpy passes the arguments of the signature
         def safe(*arguments: Any) -> None:
@@ -392,13 +392,13 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
                     if now - reported > LATELY:
                         self.notice(why, f"not used from now on: {why}")
             except Exception as error:
-                # The car drives on: after any exception the next message is processed.
+                # After any exception, the node continues with the next message.
                 self.count_fault(f"{name}: {type(error).__name__}", str(error))
 
         return safe
 
     def count_fault(self, text: str, detail: str = "") -> None:
-        """Count a fault of our own; only its first occurrence is logged, with its detail."""
+        """Count an internal fault; only its first occurrence is logged, with `detail`."""
         if not self.context.ok():
             return  # shutdown during a callback
         if text not in self._faults:

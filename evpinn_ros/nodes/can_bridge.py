@@ -1,4 +1,4 @@
-"""The node `can_bridge`: frames of a CAN bus or log in, speed, battery and motor torque out."""
+"""The node `can_bridge`: decodes frames of a CAN bus or log into speed, battery and torque."""
 
 from __future__ import annotations
 
@@ -38,14 +38,18 @@ PUBLISHES = (
     topics.MOTOR_TORQUE,
 )
 BEGINNINGS = (BusCondition.CLOSED.value, WAITING)  # of every bus; not logged
-LONGEST_STOP = 5.0  # s to wait for the bus driver; a daemon thread cannot block the end
+LONGEST_STOP = 5.0  # s to wait until a thread ends; a daemon cannot block the end
 
 
 class CanBridgeNode(GuardedNode):
     """Reads a bus in one thread, and polls the car in another if `poll` is set."""
 
     def __init__(self, *, record: RawFrames | None = None, **kwargs: Any) -> None:
-        """Start to read; `record` also gets all frames. InputError: wrong parameter or file."""
+        """Start to read; all frames are also put into `record`.
+
+        Raises:
+            InputError: a parameter or a file is wrong.
+        """
         self._record = record
         super().__init__("can_bridge", **kwargs)
 
@@ -62,7 +66,7 @@ class CanBridgeNode(GuardedNode):
         self._threads: list[threading.Thread] = []
         values = self.values
         where = values["log_file"] or f"{values['interface']} {values['channel']}"
-        self.begun(f"decoding {self._profile.key}; {where}; waiting for frames")
+        self.log_start(f"decoding {self._profile.key}; {where}; waiting for frames")
 
     def begin(self) -> None:
         """Open the bus or the log, and read it."""
@@ -118,7 +122,7 @@ class CanBridgeNode(GuardedNode):
         return load_profile(vehicle.can_profile)
 
     def _refuse_idle_poll(self) -> None:
-        """Raise InputError if `poll` is set but cannot work."""
+        """InputError if `poll` is set but cannot work."""
         values = self.values
         if not values["poll"]:
             return
@@ -174,7 +178,7 @@ class CanBridgeNode(GuardedNode):
         return BusReader(values["interface"], values["channel"], on_frame, self.now_ns, **options)
 
     def _read(self) -> None:
-        """Read the source until it ends; a log too short for a check is checked at its end."""
+        """Read the source until it ends; then publish readings that still waited for a check."""
         assert self._source is not None  # opened before its thread starts
         self._source.run()
         if isinstance(self._source, LogPlayer):
@@ -242,7 +246,7 @@ def poll_status(poll: PollStatus, experimental: bool) -> Status:
 
 
 def log_status(text: str, problem: str | None, bridge: BridgeStatus, health: Health) -> Status:
-    """The health of the CAN bridge while it replays a log."""
+    """The health of the CAN bridge while it plays a log."""
     values = {"frames": bridge.frames, **flat("dropped", bridge.dropped)}
     if problem is not None:
         verdict = Level.ERROR, problem

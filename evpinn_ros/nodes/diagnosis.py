@@ -1,4 +1,4 @@
-"""Statuses of nodes for /diagnostics; a module for each node makes them by pure functions."""
+"""Statuses for /diagnostics; the nodes' own are made in `*_diagnosis`, without ROS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evpinn_ros.topics.messages import Level
 
 MISSING_AFTER = 3.0  # s without a message of the main input
 LATELY = 10.0  # s for which an event is shown
-FEW = 3  # lost messages that need no warning
+FEW = 3  # unused messages that need no warning
 
 
 class Status(NamedTuple):
@@ -29,9 +29,9 @@ class Health:
     """Faults and counters of a node."""
 
     bad: Mapping[str, int]  # unused messages, by reason
-    faults: Mapping[str, int]  # of our own, by text
+    faults: Mapping[str, int]  # internal ones, by text
     notices: tuple[str, ...] = ()  # recent events for people, a few words each
-    fault: str | None = None  # the newest of our own within `LATELY`, or None
+    fault: str | None = None  # the newest internal one within `LATELY`
     calls: Mapping[str, int] = field(default_factory=dict)  # of services, by name
 
 
@@ -45,17 +45,17 @@ class Condition(NamedTuple):
     age: float  # s since the last message of its main input, NaN before the first
     jumps: int  # number of jumps of time back
     file_problem: str | None  # why the file was not used or not written, or None
-    silent: str = ""  # publishers of its main input, and why it is not used
+    silent: str = ""  # publishers of its main input, and why their messages are not used
 
 
 class Lately:
-    """Counts of the last seconds, from counters since the start."""
+    """Counts in the last `LATELY` seconds, from counters since the start."""
 
     def __init__(self) -> None:
         self._looks: deque[tuple[float, Mapping[str, int]]] = deque([(-math.inf, {})])
 
     def update(self, now: float, counts: Mapping[str, int]) -> dict[str, int]:
-        """Counts added in the last `LATELY` seconds before `now`, s of a monotonic clock."""
+        """Positive counts of the seconds before `now`, s of a monotonic clock."""
         self._looks.append((now, dict(counts)))
         while self._looks[1][0] <= now - LATELY:
             self._looks.popleft()
@@ -65,14 +65,14 @@ class Lately:
 
 
 def unused_notice(lately: Mapping[str, int]) -> str | None:
-    """One line on recently lost or unused messages, None if there are hardly any."""
+    """One line on recently lost or unused messages; None if there are at most `FEW`."""
     if sum(lately.values()) <= FEW:
         return None
     return "not used lately: " + ", ".join(f"{why} {n}" for why, n in sorted(lately.items()))
 
 
 def with_health(status: Status, health: Health) -> Status:
-    """A status with counters and notices of its node; a fault of our own makes it an error."""
+    """A status with counters and notices of its node; an internal fault makes it an error."""
     counters = {"bad": health.bad, "fault": health.faults, "calls": health.calls}
     values = dict(status.values)
     for name, counts in counters.items():
@@ -86,10 +86,10 @@ def with_health(status: Status, health: Health) -> Status:
 
 
 def flat(name: str, values: Mapping[str, object]) -> dict[str, object]:
-    """Nested values as values of a status, with keys `name.reason`."""
+    """Values of a status with keys `name.key`."""
     return {f"{name}.{reason}": value for reason, value in sorted(values.items())}
 
 
 def rounded(number: float) -> object:
-    """A number rounded for people."""
+    """A number rounded to three decimals; NaN stays NaN."""
     return number if math.isnan(number) else round(number, 3)

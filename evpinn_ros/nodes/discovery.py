@@ -1,4 +1,4 @@
-"""The profile that Fast DDS gets from us, where the user has none."""
+"""Sets this package's profile of Fast DDS, unless the user has one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from evpinn_ros.common.package_data import share_directory
 
 PROFILES = "FASTDDS_DEFAULT_PROFILES_FILE"
-THEIRS = (PROFILES, "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-FOUND_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # Fast DDS reads it from the working folder
+USER_SETTINGS = (PROFILES, "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+USER_FILE = "DEFAULT_FASTDDS_PROFILES.xml"  # Fast DDS reads it from the working folder
 
 
 def set_profile() -> None:
@@ -17,8 +17,8 @@ def set_profile() -> None:
 
     Each process announces itself every 0.2 s, not 3 s: otherwise nodes that start one after the
     other miss each other in one of three starts. All messages go by UDP, none through shared
-    memory, where a killed or starved process can leave others deaf (docs/project/upstream.md).
-    Call it before ROS starts; it does not change a user's profiles or other middleware.
+    memory, where a killed or starved process can keep others from receiving
+    (docs/project/upstream.md). Call it before ROS starts. It does not replace a user's profile.
     """
-    if not any(os.environ.get(their) for their in THEIRS) and not Path(FOUND_HERE).exists():
+    if not any(map(os.environ.get, USER_SETTINGS)) and not Path(USER_FILE).exists():
         os.environ[PROFILES] = str(share_directory() / "config" / "fastdds.xml")

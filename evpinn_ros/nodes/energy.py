@@ -1,4 +1,4 @@
-"""The node `energy`: power in, energy consumed and the energy of plans out."""
+"""The node `energy`: integrates power to energy, and forecasts the energy of plans."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ from evpinn_ros.topics.readings import ChargeScale, battery_message, to_reading
 from evpinn_ros.topics.settings import jump_rule
 
 PUBLISHES = tuple(topic for topic in topics.TOPICS if topic.source == "energy")
-COUNT_PERIOD = 0.2  # s, as the estimator publishes; many powers cost as much as one
-AT_ONCE = 1000  # points of a plan that the callback answers: 1.5 ms, as long as the desk's thread
+COUNT_PERIOD = 0.2  # s, as the estimator publishes; counting many powers costs as much as one
+AT_ONCE = 1000  # points of a plan that the callback itself answers, in 1.5 ms
 
 
 class EnergyNode(GuardedNode):
@@ -79,7 +79,7 @@ class EnergyNode(GuardedNode):
         limits = CarLimits.of(vehicle)
         self.account = EnergyAccount(meter, vehicle.key, vehicle.battery_capacity, limits)
         self._vehicle = vehicle
-        # The first gives the basis of forecasts, the second answers in the thread of the desk.
+        # Equal forecasters: one for callbacks, the other for the thread of the desk.
         self.forecaster, self._desk = Forecaster(vehicle), PlanDesk(Forecaster(vehicle))
         account = self.account
         anew, hold = (
@@ -88,7 +88,7 @@ class EnergyNode(GuardedNode):
         )
         actions = Actions(self._reset, anew, hold)
         self.kept = Keeper(self, account, Half.ENERGY, (topics.POWER_SMOOTHED,), actions)
-        # A separate guard: in a fast replay readings are seconds ahead of power.
+        # A guard of its own: in a fast replay readings are seconds ahead of power.
         self._reading_guard, self._charge_scale = StampGuard(topics.SPEED), ChargeScale()
         self.kept.guards.append(self._reading_guard)
         self._standby = Standby(self.steady_s())
@@ -109,7 +109,9 @@ class EnergyNode(GuardedNode):
         if is_installed(PACKAGE):
             self.advertise(TYPED_FORECAST)
             self._serve_plans()
-        self.begun(f"{vehicle.key} {self.kept.start}; waiting for power/smoothed", self.phases())
+        self.log_start(
+            f"{vehicle.key} {self.kept.start}; waiting for power/smoothed", self.phases()
+        )
 
     def let_go(self) -> None:
         """Stop answering plans, and release the state file."""
@@ -140,7 +142,7 @@ class EnergyNode(GuardedNode):
 
     def _reset(self) -> str:
         self._after_counting(self.account.reset_trip)
-        return "energy counts from zero; the lifetime's goes on"
+        return "energy of the trip is zero; the lifetime's total continues"
 
     def _take_power(self, topic: Topic, message: Any) -> None:
         estimate = read_power(topic, message)
@@ -149,7 +151,7 @@ class EnergyNode(GuardedNode):
             self.account.add_power(admitted)
 
     def _count_missed(self, powers: list[MeasuredPower]) -> None:
-        """Count measured powers of the time without an estimator."""
+        """Count measured powers from the time without an estimator."""
         if not powers:
             return
         self.account.add_measured(*map(np.array, zip(*powers, strict=True)))
@@ -174,7 +176,7 @@ class EnergyNode(GuardedNode):
             shown = (*states, summary)
         if not shown:
             return
-        self.kept.file.append()  # before publishing: after a kill no total falls or gets surer
+        self.kept.file.append()  # before publishing, so that no published total falls after a kill
         for output in shown:
             self.publish(output_messages(new_message, output))
 
@@ -271,7 +273,7 @@ class EnergyNode(GuardedNode):
     def _plan_messages(
         self, header: Any, answer: PlanAnswer, basis: Basis
     ) -> Iterator[tuple[Topic, Any]]:
-        """Messages of an answer to a plan, with the header by which the planner knows it."""
+        """Messages of an answer to a plan, with the plan's header."""
         result = answer.forecast
         times = result.time - result.time[0]
         columns = (result.energy, result.power, result.sigma)
@@ -315,30 +317,30 @@ class EnergyNode(GuardedNode):
     async def _on_estimate(self, request: Any, response: Any) -> Any:
         call, moment = PlanCall(request, SERVICE, self.plans), self._moment()
 
-        def all_of_them(forecaster: Forecaster) -> None:
+        def answer_all(forecaster: Forecaster) -> None:
             while not call.finished:
                 call.answer(forecaster, moment)
 
         if self.active and len(request.plans) == 1 and len(request.plans[0].time) <= AT_ONCE:
-            self._answering(call, all_of_them)(self.forecaster)
+            self._answering(call, answer_all)(self.forecaster)
         else:
-            await self._at_the_desk(call, all_of_them)
+            await self._at_the_desk(call, answer_all)
         return call.write(response)
 
     async def _on_batch(self, goal: Any) -> Any:
-        """Answer a goal plan by plan, all with the model of the first; others may come between."""
+        """Answer a goal plan by plan, all with the same model; other calls may come between."""
         self.calls["~/estimate_plans"] += 1
         kind = message_class(PLAN_ACTION)
         call, moment = PlanCall(goal.request, BATCH, self.plans), self._moment()
         forecasters: list[Forecaster] = []
 
-        def next_one(forecaster: Forecaster) -> None:
+        def answer_next(forecaster: Forecaster) -> None:
             if not forecasters:
                 forecasters.append(copy(forecaster))
             call.answer(forecasters[0], moment)
 
         while not (call.finished or goal.is_cancel_requested):
-            await self._at_the_desk(call, next_one)
+            await self._at_the_desk(call, answer_next)
             goal.publish_feedback(kind.Feedback(done=len(call.results), newest=call.results[-1]))
         if call.finished:
             goal.succeed()
@@ -347,7 +349,7 @@ class EnergyNode(GuardedNode):
         return call.write(kind.Result())
 
     async def _at_the_desk(self, call: PlanCall, job: Job) -> None:
-        """Run a job of a call in the thread of the desk; refuse its plans if it cannot run."""
+        """Run a job in the thread of the desk; refuse the plans of its call if it cannot run."""
         if not self.active:
             call.refuse_all(NOT_ACTIVE)
             return
@@ -355,18 +357,18 @@ class EnergyNode(GuardedNode):
         answered = Future(executor=executor)
         answer = self._answering(call, job)
 
-        def and_tell(forecaster: Forecaster) -> None:
+        def answer_and_wake(forecaster: Forecaster) -> None:
             answer(forecaster)
             answered.set_result(None)
             executor.wake()  # rclpy's `await` adds no callback to wake the executor
 
-        if self._desk.ask(and_tell):
+        if self._desk.ask(answer_and_wake):
             await answered
         else:
             call.refuse_all("too many plans are waiting")
 
     def _answering(self, call: PlanCall, job: Job) -> Callable[[Forecaster], None]:
-        """A job of a call that after an internal fault refuses the plans, and does not raise."""
+        """Wrap a job, so that an internal fault refuses the plans of its call."""
 
         def answer(forecaster: Forecaster) -> None:
             try:

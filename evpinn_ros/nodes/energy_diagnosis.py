@@ -42,9 +42,8 @@ def meter_status(account: EnergyAccount, condition: Condition) -> Status:
 
 def energy_phases(account: EnergyAccount, basis: Basis, condition: Condition) -> list[Status]:
     """Texts that are logged when they change, so they contain no counts."""
-    rest = f"forecasts rest on the {basis.value}"
     meter = Status("meter", *_meter_verdict(account, condition), {})
-    return [meter, Status("plan", Level.OK, rest, {})]
+    return [meter, Status("plan", Level.OK, f"forecasts rest on the {basis.value}", {})]
 
 
 def _meter_verdict(account: EnergyAccount, condition: Condition) -> tuple[Level, str]:
@@ -63,7 +62,7 @@ def _meter_verdict(account: EnergyAccount, condition: Condition) -> tuple[Level,
 
 
 def _dropout_values(reconciled: Reconciled | None) -> dict[str, object]:
-    """Values of the last battery dropout: its prediction, energy by charge, and reconciliation."""
+    """Values of the last battery dropout: predicted energy, energy by charge, and correction."""
     if reconciled is None:
         return {}
     dropout = reconciled.dropout
@@ -101,7 +100,7 @@ def charge_status(account: EnergyAccount) -> Status:
     if not summary.charge.known:
         return Status("charge", Level.OK, "the state of charge is unknown", values)
     if summary.projected:
-        text = "state of charge projected by the energy taken: none came for a minute"
+        text = "state of charge projected from the energy taken: not received for a minute"
         return Status("charge", Level.OK, text, values)
     return Status("charge", Level.OK, "state of charge received", values)
 
@@ -111,7 +110,7 @@ def _wh(joules: float) -> object:
 
 
 def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
-    """Status of the planning, with the present basis and air."""
+    """Status of the planning, with the present basis and air; None in `air` is unknown."""
     outside = zip(("air_celsius", "air_pascal", "head_wind_mps"), air, strict=True)
     values = {
         "answered": plans.answered,
@@ -131,7 +130,7 @@ def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
 
 
 def answered_status(answer: PlanAnswer) -> Status:
-    """The status of an answered plan: its energy and its differences from other plans, J."""
+    """Status of an answered plan: its energy, and its differences from other plans, J."""
     forecast = answer.forecast
     values = {"energy": forecast.energy[-1], "sigma": forecast.sigma[-1]}
     values["conditions"] = len(answer.conditions)  # the planner's; others are the last known

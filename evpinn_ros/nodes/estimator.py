@@ -1,4 +1,4 @@
-"""The node `estimator`: readings in, power and parameters out, computed by `OnlineEstimator`."""
+"""The node `estimator`: learns from readings by `OnlineEstimator`; publishes its estimates."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class EstimatorNode(GuardedNode):
         self.every(MODEL_PERIOD, self.publish_model)
         self.publish_model()
         car = f"{self._vehicle.key} ({self.values['mode']})"
-        self.begun(f"{car} {self.kept.start}; waiting for vehicle/speed", self.phases())
+        self.log_start(f"{car} {self.kept.start}; waiting for vehicle/speed", self.phases())
 
     def statuses(self) -> list[Status]:
         """The health of the estimate."""
@@ -101,7 +101,7 @@ class EstimatorNode(GuardedNode):
         """Forget everything learned, also the state loaded at the start."""
         self.kept.file.forget()
         self.publish_model()
-        return f"started again from the vehicle file {self._vehicle.key}"
+        return f"restarted from the vehicle file {self._vehicle.key}"
 
     def _begin_anew(self) -> None:
         """Return to the state of the start."""
@@ -109,7 +109,7 @@ class EstimatorNode(GuardedNode):
         self.kept.file.start_over()
 
     def _after_jump(self) -> None:
-        """After a jump of time: join no later reading to earlier ones."""
+        """After a jump of time: keep what was learned, and join no reading across the jump."""
         self._admission.begin_anew()
         self.estimator.handle_time_jump()
 
@@ -141,11 +141,11 @@ class EstimatorNode(GuardedNode):
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self.estimator.enabled = request.data
-        return self.done(response, "learning" if request.data else "paused: predicting only")
+        return self.respond(response, "learning" if request.data else "paused: predicting only")
 
 
 def _usual(status: EstimatorStatus) -> tuple[str, ...]:
-    """Usual reasons for dropping readings, which are no fault.
+    """Reasons for dropping readings that need no attention.
 
     A battery message may have only a state of charge, as long as others have power.
     """

@@ -107,7 +107,7 @@ def _detections(report: LearnerReport) -> dict[str, object]:
 
 
 def _lag(status: EstimatorStatus) -> dict[str, object]:
-    """Lag of speed behind the battery, and its corrected part."""
+    """Lag of speed behind the battery, s, and how much of it is corrected."""
     if status.lag is None:
         return {"lag_s": "unknown"}
     values = {"lag_s": status.lag.seconds, "lag_std_s": status.lag.sigma}

@@ -1,4 +1,4 @@
-"""Parts of rclpy for a `Topic`: message classes, quality of service, endpoints."""
+"""Makes message classes, QoS profiles and endpoints of rclpy for a `Topic`."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ OVERRIDABLE = tuple(
 
 @cache
 def is_installed(package: str) -> bool:
-    """True if a package of messages is built and installed; its source in a checkout is not."""
+    """Whether a message package is built and installed; its source folder alone is not."""
     spec = find_spec(package)
     return spec is not None and spec.origin is not None
 
 
 def installed(topics: Iterable[Topic]) -> list[Topic]:
-    """Those topics whose messages are installed; messages of Autoware may be missing."""
+    """The topics whose message packages are installed; those of Autoware may be missing."""
     return [topic for topic in topics if is_installed(topic.package)]
 
 
@@ -50,12 +50,12 @@ def message_class(type_name: str) -> Any:
 
 
 def new_message(type_name: str, /, **fields: Any) -> Any:
-    """A message for rclpy: the `messages.NewMessage` of rclpy."""
+    """An rclpy message with these fields; a `messages.NewMessage`."""
     return message_class(type_name)(**fields)
 
 
 def decode(type_name: str, data: bytes) -> Any:
-    """The message at the start of CDR bytes."""
+    """The message at the start of CDR bytes; BadMessage if they are damaged."""
     try:
         return deserialize_message(data, message_class(type_name))
     except RuntimeError as error:
@@ -73,7 +73,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def advertise(node: Node, topic: Topic, on_mismatch: Callable[[str], None] | None = None) -> Any:
-    """A publisher with QoS overrides; `on_mismatch` gets a policy that excludes a subscriber."""
+    """A publisher with QoS overrides; `on_mismatch` gets a policy that a subscriber refuses."""
     events = PublisherEventCallbacks(**_mismatch(on_mismatch))
     return node.create_publisher(
         message_class(topic.type_name),
@@ -106,7 +106,7 @@ def subscribe(
 
 
 def _overriding(node: Node, topic: Topic, end: str) -> QoSOverridingOptions | None:
-    """Options that declare the four QoS parameters of an endpoint, if one of them was given."""
+    """Options that declare the QoS parameters of an endpoint; None if none of them was given."""
     start = f"qos_overrides.{node.resolve_topic_name(topic.name)}.{end}."
     given = any(name.startswith(start) for name in node._parameter_overrides)
     return QoSOverridingOptions(OVERRIDABLE) if given else None
@@ -123,7 +123,7 @@ def refuse_unknown_overrides(node: Node) -> None:
 
 
 def _mismatch(tell: Callable[[str], None] | None) -> dict[str, Any]:
-    """Callbacks only for a mismatched policy: those for wrong types double every wait."""
+    """Event callbacks for mismatched QoS alone: those for wrong types double every wait."""
     if tell is None:
         return {}
 

@@ -1,4 +1,4 @@
-"""Sources of CAN frames other than a bus (`can.bus`): a log, and a topic of another node."""
+"""Sources of CAN frames beside a bus (`can.bus`): a log, and a topic of another node."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEPTH = 1000  # frames, half a second of a busy bus
 
 
 class LogPlayer:
-    """Plays a CAN log as if it were a bus; call `run` in a thread of its own."""
+    """Plays a CAN log as if it were a bus; call `run` in its own thread."""
 
     def __init__(
         self, path: Path, rate: float, delay: float, on_frame: Callable[[CanFrame], None]
@@ -45,9 +45,9 @@ class LogPlayer:
         except InputError as error:
             self.problem = str(error)
         except OverflowError:  # longer than any system can wait
-            self.problem = f"{self._log.path}: a stamp beyond all time, frame {self._log.count}"
+            self.problem = f"{self._log.path}: frame {self._log.count} has an impossible stamp"
         self.problem = self.problem or self._log.problem
-        self.text = f"{self._log.path}: at its end after {self._log.count} frames"
+        self.text = f"{self._log.path}: ended after {self._log.count} frames"
 
     def stop(self) -> None:
         """Make `run` return at the next frame."""
@@ -74,12 +74,12 @@ def frame_topic(name: str) -> Topic:
 
 
 class FrameTopic:
-    """A source of frames like `BusReader`; `take` gets the messages of another node."""
+    """Frames that another node publishes, as a source like `BusReader`."""
 
     def __init__(
         self, name: str, on_frame: Callable[[CanFrame], None], publishers: Callable[[], int]
     ) -> None:
-        """Begin; `publishers` returns the number of publishers of the topic with this name."""
+        """Give frames to `on_frame`; `publishers` counts the publishers of the topic `name`."""
         self._name, self._on_frame, self._publishers = name, on_frame, publishers
         self._counters: Counter[str] = Counter()
         self._newest_s: float | None = None
@@ -109,7 +109,7 @@ class FrameTopic:
         self._stop.set()
 
     def status(self, steady_s: float) -> BusStatus:
-        """State of the bus, as far as known from the topic."""
+        """State of the bus, as far as the topic shows it."""
         problem = None
         if not self._publishers():
             condition, problem = BusCondition.CLOSED, f"no publisher of {self._name}"

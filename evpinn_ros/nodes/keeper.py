@@ -1,4 +1,4 @@
-"""Keeps the core of a node across restarts and jumps of time: file, services and stamps."""
+"""Keeps the core of a node across restarts and jumps of time."""
 
 from __future__ import annotations
 
@@ -25,14 +25,13 @@ ANEW = {Half.LEARNED: "begins with the vehicle file", Half.ENERGY: "counts from 
 class Actions(NamedTuple):
     """Actions of a node on its core."""
 
-    reset: Callable[[], str]  # on request by a service; returns the answer
-    begin_anew: Callable[[], object]  # after a jump of time, if the policy is `reset`
-    # after a jump of time: join nothing across it, and keep the learned or counted state
-    hold: Callable[[], object]
+    reset: Callable[[], str]  # by the service ~/reset; returns its answer
+    begin_anew: Callable[[], object]  # at a jump of time, by the policy `reset`
+    hold: Callable[[], object]  # at a jump of time, by `hold`: keep the state, join nothing across
 
 
 class Keeper:
-    """Loads and saves the core of a node, and handles jumps of time."""
+    """Loads and saves the core of a node, orders its inputs, and handles jumps of time."""
 
     def __init__(
         self,
@@ -42,13 +41,13 @@ class Keeper:
         leaders: tuple[Topic, ...],
         actions: Actions,
     ) -> None:
-        """Load the core's state; stamps of the first of `leaders` show jumps of time.
+        """Load the core's state; `leaders` are the main input, the first one shows jumps of time.
 
-        InputError for a managed node: the file cannot be written, or another process learns into
-        it.
+        Raises:
+            InputError: the node is managed, and the file cannot be written or is in use.
         """
         if isinstance(before := getattr(node, "kept", None), Keeper):
-            before.release()  # of a failed configuration
+            before.release()  # from a failed configuration
         self._node, self._leaders, self._actions = node, leaders, actions
         self._name = node.values[FILES[half]]
         self.file = StateFile(state_path(self._name), core, half)  # of the core
@@ -62,7 +61,7 @@ class Keeper:
         self.file.restore()
         if self.file.busy is not None and node.values["managed"]:
             raise InputError(self.file.busy)
-        self.start = self.file.start or ANEW[half]  # its initial state, in a few words
+        self.start = self.file.start or ANEW[half]  # what the core starts from, in a few words
         if (problem := self.file.problem) is not None:
             node.log(Level.WARN, f"{node.get_name()} {self.start}: {problem}")
         node.create_service(Trigger, "~/reset", self._on_reset)
@@ -80,7 +79,7 @@ class Keeper:
         return Condition(health, age, self.guard.jumps, self.file.problem, silent)
 
     def in_order(self, topic: Topic, stamp_ns: int, item: Any) -> Iterator[Any]:
-        """Yields items in order, each once its stamp is confirmed; handles time jumps first."""
+        """Yields items in order of stamps; handles jumps of time between them."""
         for ready in self.guard.admit(topic, stamp_ns, item, jump_rule(self._node.values)):
             if isinstance(ready, Jump):
                 self._on_jump(ready)
@@ -108,7 +107,7 @@ class Keeper:
             self._actions.hold()
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        return self._node.done(response, self._actions.reset())
+        return self._node.respond(response, self._actions.reset())
 
     def _on_save(self, _: Any, response: Any) -> Any:
-        return self._node.done(response, f"written to {self._name}", self.file.save())
+        return self._node.respond(response, f"written to {self._name}", self.file.save())

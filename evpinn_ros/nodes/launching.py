@@ -1,4 +1,4 @@
-"""Shared parts of the launch files; a wrong argument ends a launch before any node starts.
+"""Shared parts of the launch files; a wrong argument ends the launch before any node starts.
 
 Only launch files import it: `launch` comes with a ROS 2 installation, not from PyPI.
 """
@@ -34,7 +34,7 @@ RESPAWN_DELAY = 2.0  # s
 def argument(
     name: str, default: str | None, description: str, choices: Sequence[str] | None = None
 ) -> DeclareLaunchArgument:
-    """One launch argument, required if it has no default."""
+    """A launch argument, required if it has no default."""
     return DeclareLaunchArgument(
         name,
         default_value=default,
@@ -46,27 +46,29 @@ def argument(
 COMMON = (
     argument("vehicle", "", "Vehicle by name or path; empty: as in params_file."),
     argument(
-        "params_file", str(share_directory() / "config" / "evpinn.param.yaml"), "Parameters."
+        "params_file", str(share_directory() / "config" / "evpinn.param.yaml"), "Parameter file."
     ),
     argument(
         "namespace",
         NAMESPACE.lstrip("/"),
-        "Of all topics; a relative one follows the namespace that an including file pushed.",
+        "Namespace of all topics; a relative one is below that of an including launch file.",
     ),
-    argument("respawn", "false", "Start a node again when it has ended.", TRUTH),
-    argument("log_level", "info", "Least severity that is logged.", LOG_LEVELS),
+    argument("respawn", "false", "Restart a node that has ended.", TRUTH),
+    argument("log_level", "info", "Lowest severity that is logged.", LOG_LEVELS),
     argument("record", "", "Folder of a bag (MCAP) to record every topic to; empty: none."),
 )
 BUS = (
-    argument("bus", "true", "Decode a CAN bus; false: others publish speed and battery.", TRUTH),
-    argument("can_interface", "", "Driver of the CAN adapter; empty: as in params_file."),
-    argument("can_channel", "", "Channel of the adapter; empty: as in params_file."),
+    argument(
+        "bus", "true", "Decode a CAN bus; false: other nodes publish speed and battery.", TRUTH
+    ),
+    argument("can_interface", "", "python-can interface of the bus; empty: as in params_file."),
+    argument("can_channel", "", "Channel of the bus; empty: as in params_file."),
 )
 SIMULATED = argument("use_sim_time", "false", "Take the time from /clock.", TRUTH)
 
 
 class Given:
-    """The arguments of one launch."""
+    """The values of a launch's arguments; InputError if one is wrong."""
 
     def __init__(self, context: Any, arguments: Iterable[DeclareLaunchArgument]) -> None:
         names = [argument.name for argument in arguments]
@@ -75,10 +77,11 @@ class Given:
         }  # values by name
         pushed = context.launch_configurations.get("ros_namespace")
         below = prefix_namespace(pushed, self.values["namespace"])
-        self.namespace: str = make_namespace_absolute(below)  # below those of including files
+        self.namespace: str = make_namespace_absolute(below)  # with those of including files
+        # (from, to) of each `SetRemap` in including files
         self.remaps: Sequence[tuple[str, str]] = context.launch_configurations.get(
             "ros_remaps", ()
-        )  # pairs of names that including files set by `SetRemap`, in their order
+        )
         if not Path(self.values["params_file"]).is_file():
             raise InputError(f"params_file:={self.values['params_file']}: no such file")
         if self.values["vehicle"]:
@@ -93,7 +96,7 @@ class Given:
         return self.values[name]
 
     def is_true(self, name: str) -> bool:
-        """True if an argument is `true`; False if it is `false`."""
+        """Whether an argument is `true`."""
         return self.values[name] == "true"
 
     def resolved(self, topic: Topic) -> str:
@@ -116,11 +119,11 @@ class Given:
 
 def describe(
     actions: Callable[[Given], list[Any]],
-    *own: DeclareLaunchArgument,
+    *specific: DeclareLaunchArgument,
     simulated: DeclareLaunchArgument = SIMULATED,
 ) -> LaunchDescription:
-    """Description of a launch file that starts the result of `actions` for its arguments."""
-    arguments = (*own, *COMMON, simulated)
+    """Description of a launch file with `specific` and `COMMON` arguments, for `actions`."""
+    arguments = (*specific, *COMMON, simulated)
     names = [argument.name for argument in arguments]
 
     def perform(context: Any) -> list[Any]:
@@ -132,7 +135,7 @@ def describe(
 
 
 def _mistyped(context: Any, names: Sequence[str]) -> list[LogInfo]:
-    """A line for each argument that looks mistyped: `launch` silently accepts any name."""
+    """A log line for each argument that looks mistyped; `launch` itself accepts any name."""
     others = [name for name in context.launch_configurations if name not in names]
     return [
         LogInfo(msg=f"unknown argument '{name}'{near}")
@@ -144,8 +147,8 @@ def _mistyped(context: Any, names: Sequence[str]) -> list[LogInfo]:
 def node(
     given: Given, executable: str, parameters: Mapping[str, Value], kind: type[Node] = Node
 ) -> Node:
-    """One node of this package; parameters with an empty text are left to the file."""
-    own = {
+    """A node of this package; a parameter with an empty text is left to the file."""
+    set_here = {"use_sim_time": given.is_true("use_sim_time")} | {
         # A text stays a text even if it looks like a number: a channel may be called `0`.
         name: ParameterValue(value, value_type=type(value))
         for name, value in parameters.items()
@@ -156,7 +159,7 @@ def node(
         executable=executable,
         name=executable.removesuffix(".py"),
         namespace=given["namespace"],
-        parameters=[given["params_file"], {"use_sim_time": given.is_true("use_sim_time"), **own}],
+        parameters=[given["params_file"], set_here],
         ros_arguments=["--log-level", given["log_level"]],
         respawn=given.is_true("respawn"),
         respawn_delay=RESPAWN_DELAY,
@@ -165,7 +168,7 @@ def node(
 
 
 def managed_node(given: Given, executable: str, parameters: Mapping[str, Value]) -> LifecycleNode:
-    """One node of this package that waits for its transitions."""
+    """A managed node of this package: it waits for its transitions."""
     return node(given, executable, {**parameters, "managed": True}, LifecycleNode)
 
 

@@ -1,4 +1,4 @@
-"""Declares the parameters of a node from their table, and refuses wrong changes at run time."""
+"""Declares the parameters of a node from their table, and refuses wrong values."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def declare(node: Node, table: tuple[Parameter, ...]) -> dict[str, Any]:
 
 
 def unknown_parameters(node: Node, table: tuple[Parameter, ...]) -> list[str]:
-    """A line for each given parameter that no node of this process has; rclpy ignores it."""
+    """A line for each given parameter that no node of this package has; rclpy ignores it."""
     all_names = {parameter.name for table in TABLES.values() for parameter in table}
     names = [parameter.name for parameter in table]
     return [

@@ -1,4 +1,4 @@
-"""Answers plans on a worker thread, also those of `EstimatePlan` and `EstimatePlans`."""
+"""Answers plans on a worker thread; fills the answers of `EstimatePlan` and `EstimatePlans`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Job: TypeAlias = Callable[[Forecaster], object]
 
 
 class PlanDesk:
-    """Runs jobs one after the other, in a thread with a forecaster of its own."""
+    """Runs jobs one after the other in a thread that owns a forecaster."""
 
     def __init__(self, forecaster: Forecaster) -> None:
         self._forecaster = forecaster
@@ -35,7 +35,7 @@ class PlanDesk:
         self._thread.start()
 
     def tell(self, update: Job) -> None:
-        """Update the forecaster before any later question."""
+        """Queue an update of the forecaster; jobs queued later use it."""
         self._jobs.put(update)
 
     def ask(self, job: Job) -> bool:
@@ -53,7 +53,7 @@ class PlanDesk:
         return True
 
     def close(self) -> None:
-        """End the thread after the current job; waiting jobs are dropped."""
+        """Drop waiting jobs, and end the thread after the current one."""
         while not self._jobs.empty():
             self._jobs.get()
         self._jobs.put(None)
@@ -65,7 +65,7 @@ class PlanDesk:
 
 
 class Moment(NamedTuple):
-    """Arguments of `Forecaster.answer` that belong to one moment."""
+    """State of the battery and time at which a plan is answered."""
 
     charge: Uncertain
     capacity: Uncertain
@@ -90,7 +90,7 @@ class PlanCall:
     """The plans of one call, answered one by one."""
 
     def __init__(self, request: Any, limits: CallLimits, log: PlanLog) -> None:
-        """Begin with the first plan of a request or goal; those beyond the limits are refused."""
+        """Take the plans of a request or goal; those beyond the limits will be refused."""
         self._plans, self._given = request.plans, request.conditions
         self._limits, self._log = limits, log
         self.results: list[Any] = []  # evpinn_msgs/PlanResult of the plans so far, in order
@@ -102,11 +102,11 @@ class PlanCall:
 
     @property
     def finished(self) -> bool:
-        """True once every plan has its result."""
+        """Whether every plan has its result."""
         return len(self.results) == len(self._plans)
 
     def answer(self, forecaster: Forecaster, moment: Moment) -> None:
-        """Answer the next plan at a moment, and compare it with those before; or refuse it."""
+        """Answer or refuse the next plan, and compare it with those before."""
         index, self._basis = len(self.results), forecaster.basis.value
         asked = self._plans[index]
         result = new_message(PLAN_RESULT, name=asked.name, **UNKNOWN)
@@ -128,7 +128,7 @@ class PlanCall:
             self.results.append(result)
 
     def write(self, response: Any) -> Any:
-        """Fill the response of the service or the result of the action, as far as it is known."""
+        """Fill the response of the service or the result of the action with the results so far."""
         for index, result in enumerate(self.results):
             self._set_differences(result, index)
         response.results, response.basis = self.results, self._basis

@@ -1,4 +1,4 @@
-"""The three nodes in processes of their own, fed from a CAN log and recorded."""
+"""Runs the three nodes as processes, plays a CAN log to them, and records their topics."""
 
 from __future__ import annotations
 
@@ -43,10 +43,12 @@ def record_through_nodes(
     progress: Callable[[float], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play a CAN log through the executables over DDS and record all their topics.
+    """Play the CAN log in `parameters` through the executables, and record all their topics.
 
-    `end_ns` is the stamp of the last frame of the log. InputError: before that frame, the run was
-    stopped, or a node ended or fell silent.
+    `end_ns` is the stamp of the last frame of the log.
+
+    Raises:
+        InputError: before that frame, the run was stopped, or a node ended or fell silent.
     """
     own_network()
     # At a signal the caller stops the nodes; rclpy's handler would leave an error.
@@ -60,7 +62,7 @@ def record_through_nodes(
     def spin() -> None:
         executor.spin_once(timeout_sec=SPIN)
         if stopped():
-            raise InputError("before the end of the drive")
+            raise InputError("before the end of the drive")  # `Interruption` says "stopped: "
 
     try:
         with node_process("estimator", parameters), node_process("energy", parameters):
@@ -95,7 +97,7 @@ def _own_domain(domains: range) -> tuple[int, Held]:
 
 
 def _domains_in_use() -> Iterator[int]:
-    """ROS domains of processes, as of nodes that outlived who had the lock."""
+    """ROS domains of running processes; a node may outlive the process that had the lock."""
     for path in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError, ValueError):  # ended, or another user's
             _, _, text = path.read_bytes().partition(b"ROS_DOMAIN_ID=")
@@ -154,7 +156,7 @@ def node_command(name: str, parameters: Mapping[str, Value]) -> list[str]:
 
 @contextmanager
 def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subprocess.Popen[bytes]]:
-    """The running executable of one node; stopped at the end as a launch file does."""
+    """Runs the executable of a node; on exit, interrupts it as a launch file does."""
     command = node_command(name, of_node(name, parameters))
     # Block signals until the process handles them: before that, Python prints a traceback.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
@@ -169,7 +171,7 @@ def node_process(name: str, parameters: Mapping[str, Value]) -> Iterator[subproc
 
 
 def interrupt(process: subprocess.Popen[bytes]) -> None:
-    """Stop a process as Ctrl-C does; kill it if it does not end within `STOP_TIMEOUT`."""
+    """Interrupt a process as Ctrl-C does; kill it after `STOP_TIMEOUT`."""
     process.send_signal(signal.SIGINT)
     try:
         process.wait(STOP_TIMEOUT)

@@ -1,4 +1,4 @@
-"""Records every topic of this package, and a bridge's raw frames, into a bag."""
+"""Records every topic of this package, and the bridge's CAN frames, into a bag."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from evpinn_ros.nodes.factory import installed
 from evpinn_ros.topics import FRAME_TYPE, TOPICS, Topic
 from evpinn_ros.topics.messages import Level
 
-# s; a kill may lose this time, and the delay of the node on a busy computer.
-FLUSH_PERIOD = 0.25
+FLUSH_PERIOD = 0.25  # s of messages that a kill may lose
 
 
 class RecorderNode(GuardedNode):
@@ -31,7 +30,11 @@ class RecorderNode(GuardedNode):
         split: Split | None = None,
         **kwargs: Any,
     ) -> None:
-        """Begin the bag, or raise InputError; `frames` is a buffer that this node empties."""
+        """Create the bag; `frames` is a buffer that the bridge fills and this node empties.
+
+        Raises:
+            InputError: the bag cannot be created.
+        """
         super().__init__("recorder", **kwargs)
         self._counts: Counter[str] = Counter()
         self._problem: str | None = None
@@ -43,7 +46,7 @@ class RecorderNode(GuardedNode):
         self.every(FLUSH_PERIOD, self._flush)
 
     def statuses(self) -> list[Status]:
-        """Status with the size of the bag, or with the problem that ended it."""
+        """The number of recorded messages, or the problem that ended the recording."""
         counts, folder = self._counts, self._writer.folder
         text = f"{counts['messages']} messages and {counts['frames']} CAN frames in {folder}"
         level = Level.OK if self._problem is None else Level.ERROR

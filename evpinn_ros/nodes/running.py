@@ -29,8 +29,8 @@ from evpinn_ros.nodes.discovery import set_profile
 
 SWITCH_INTERVAL = 5e-4
 """s for which a thread may hold the interpreter while another waits: the bridge after each system
-call, callbacks during an update. With Python's default of 5 ms and a working learner, one frame in
-a hundred came 12 ms late, with this value 4 ms (docs/project/upstream.md)."""
+call, callbacks during an update. With Python's default of 5 ms and a busy learner, one frame in a
+hundred was 12 ms late; with this value, 4 ms (docs/project/upstream.md)."""
 
 START = 30.0
 """s to make the nodes, which takes 0.3 s on idle cores; more than this is a hang."""
@@ -40,7 +40,7 @@ FAREWELL = 8.0
 launch kills after 10. If other nodes leave at the same time, Fast DDS may hang forever (its issue
 6502)."""
 
-ONE_WISH = 1.0
+SAME_SIGNAL = 1.0
 """s within which several signals count as one: a terminal and its launch both send one."""
 
 LONGEST_SPIN = 0.1
@@ -63,9 +63,9 @@ def run(
 
     `makers` make the nodes, listeners first; `beside` is entered before the nodes start.
     """
-    # The handler only notes the signal: a KeyboardInterrupt could occur inside rclpy's C++, which
-    # turns it into another error; rclpy's own handler shuts down its context while the executor
-    # adds endpoints, which aborts the process.
+    # The handler only records the signal. A KeyboardInterrupt inside rclpy's C++ would become
+    # another error, and rclpy's own handler shuts the context down while the executor adds
+    # endpoints, which aborts the process.
     signals: list[int] = []
     at_stop(lambda number, _: signals.append(number))
     with beside or nullcontext():
@@ -125,7 +125,7 @@ def new_executor() -> Executor:
 
 
 def load_no_generator() -> None:
-    """Skip an import that only builds of messages need: saves 3 to 7 MB, and 0.1 s per start."""
+    """Skip an import that only message builds need: saves 3 to 7 MB, and 0.1 s per start."""
     sys.modules.setdefault(GENERATOR, None)  # type: ignore[arg-type]
 
 
@@ -143,7 +143,7 @@ def _end(nodes: Sequence[GuardedNode], executor: Executor) -> int:
     code = 1 if errors else code
 
     def end_at_once(_: int, __: FrameType | None) -> None:
-        if time.monotonic() - begin > ONE_WISH:
+        if time.monotonic() - begin > SAME_SIGNAL:
             os._exit(code)
 
     # Listeners receive the last messages of others; a destroyed node announces its end once no
@@ -190,14 +190,14 @@ def tell(state: str) -> None:
 
 
 def watchdog_period() -> float | None:
-    """Half of systemd's watchdog timeout (WATCHDOG_USEC), s, or None."""
+    """Half of systemd's watchdog timeout (WATCHDOG_USEC), s; None without one."""
     waits = os.environ.get("WATCHDOG_USEC", "")
     return int(waits) / 2e6 if waits.isdecimal() and int(waits) > 0 else None
 
 
 @contextmanager
 def deadline(seconds: float) -> Iterator[None]:
-    """If a block takes too long, s, exit with 1 and print where, by `faulthandler`."""
+    """Exit with 1 and print a traceback, by `faulthandler`, if a block takes over `seconds`."""
     faulthandler.dump_traceback_later(seconds, exit=True, file=2)
     try:
         yield

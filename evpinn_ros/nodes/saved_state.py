@@ -1,4 +1,4 @@
-"""Saves the state of a node in a file, and keeps files that it cannot use."""
+"""Saves the state of a node in a file; a file that it cannot use is renamed, not overwritten."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class StateFile:
         self.problem: str | None = None  # why the file was not used or not written
         self._path, self._owner, self._half = path, owner, half
         self._loaded: Mapping[str, Any] | None = None
-        self._refused: tuple[int, int] | None = None  # inode and time of that file
+        self._refused: tuple[int, int] | None = None  # inode and time of a refused file
         self._readable, self._unwritable = True, False
         self._claim: StateClaim | None = None
-        self._appendable = 0  # states that may still be appended
-        self.busy: str | None = None  # another process owns the half: nothing is written
+        self._appendable = 0  # states that may be appended before the next whole file
+        self.busy: str | None = None  # set if another process owns the half: nothing is written
 
     def why_unwritable(self) -> str | None:
-        """The reason why the file can never be written; None if it can, or without a file."""
+        """Why the file cannot be written; None if it can, or without a file."""
         if self._path is None:
             return None
         try:
@@ -108,7 +108,7 @@ class StateFile:
     def save(self) -> str | None:
         """Write the state; returns the reason if that fails."""
         if self._path is None:
-            return "no file for it is set"
+            return "no file is set"
         if self.busy is not None:
             return self.busy
         try:
@@ -121,7 +121,7 @@ class StateFile:
         return None
 
     def append(self) -> None:
-        """Append the state to the file, or sometimes rewrite it, so that a kill loses nothing."""
+        """Append the state to the file, or rewrite it after `MOST_APPENDED`; a kill loses none."""
         if self._path is None or self._unwritable:
             return  # `save` tries again at its next call
         if not self._appendable:

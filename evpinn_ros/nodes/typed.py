@@ -1,7 +1,7 @@
-"""Typed messages of `evpinn_msgs`, beside the named vectors of the contract.
+"""Typed messages of `evpinn_msgs`, beside the named vectors.
 
-Under `typed/` each quantity is a field, with fields for its 1-sigma and perhaps its rate; NaN if
-unknown.
+In topics under `typed/` each quantity is a field, with fields for its 1-sigma and, for some, its
+rate; NaN if unknown.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SIGMA, RATE = "_sigma", "_rate"
 
 
 def typed(topic: Topic, name: str) -> Topic:
-    """The typed topic that belongs to a topic of the contract."""
+    """The typed topic beside a topic."""
     text = f"`{topic.name}` as `{PACKAGE}/{name}`"
     type_name = f"{PACKAGE}/msg/{name}"
     return Topic(
@@ -47,7 +47,7 @@ TYPED = {
     )
 }
 ALWAYS = (topics.IDENTIFIABLE, topics.POWER_MEASURED, topics.POWER_SMOOTHED)
-"""Named vectors that the node `energy` subscribes to."""
+"""Published also without `named_vectors`, because the node `energy` subscribes to them."""
 TYPED_FORECAST = typed(topics.FORECAST, "PlanForecast")
 
 
@@ -70,7 +70,7 @@ def typed_message(topic: Topic, vector: Any) -> Any:
 
 
 def given_conditions(message: Any) -> PlanConditions:
-    """Conditions in a typed message, NaN as not given; PlanError for impossible ones."""
+    """Conditions in a typed message, NaN if not given; PlanError for impossible ones."""
     given = {name: number for name in CONDITION_RANGES for number in getattr(message, name)}
     return PlanConditions(**{k: v for k, v in given.items() if not math.isnan(v)})
 

@@ -64,7 +64,7 @@ def watch(*moments):
 def test_stamps_of_the_future_and_leaps_are_told_and_silence_is_not():
     assert watch((100, 100, 1), (100.1, 100.1, 1.1), (900, 900, 800)) == [None] * 3
     assert "ahead of this computer's clock" in watch((3700, 100, 1))[0]
-    assert watch((100, 100, 1), (3700, 3700, 1.1))[1] == "stamps leapt ahead by 3600 s"
+    assert watch((100, 100, 1), (3700, 3700, 1.1))[1] == "stamps jumped ahead by 3600 s"
 
 
 def test_old_stamps_are_those_of_a_replay():

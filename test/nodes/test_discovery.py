@@ -7,14 +7,14 @@ import sys
 import pytest
 
 from evpinn_ros.common.errors import InputError
-from evpinn_ros.nodes.discovery import FOUND_HERE, PROFILES, THEIRS, set_profile
+from evpinn_ros.nodes.discovery import PROFILES, USER_FILE, USER_SETTINGS, set_profile
 from evpinn_ros.nodes.processes import own_network
 from test.nodes.processes import started
 
 
 @pytest.fixture
 def nothing_set(monkeypatch, tmp_path):
-    for name in THEIRS:
+    for name in USER_SETTINGS:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
     return monkeypatch
@@ -26,7 +26,7 @@ def test_fast_dds_gets_our_profile(nothing_set):
     assert path.name == "fastdds.xml" and path.is_file()
 
 
-@pytest.mark.parametrize("name", THEIRS)
+@pytest.mark.parametrize("name", USER_SETTINGS)
 def test_a_profile_of_the_user_stays(nothing_set, name):
     nothing_set.setenv(name, "mine.xml")
     set_profile()
@@ -35,7 +35,7 @@ def test_a_profile_of_the_user_stays(nothing_set, name):
 
 
 def test_a_profile_in_the_working_folder_stays(nothing_set):
-    Path(FOUND_HERE).touch()
+    Path(USER_FILE).touch()
     set_profile()
     assert PROFILES not in os.environ
 

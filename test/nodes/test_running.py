@@ -41,7 +41,7 @@ HANGS_AT_THE_START = """
 TAKES_LONG = """
     def destroy_node(self):
         for line in sys.stdin:
-            running.ONE_WISH = float(line)
+            running.SAME_SIGNAL = float(line)
             print("still here", flush=True)
 """
 SIGNALLED = """
@@ -70,7 +70,7 @@ def one_node(methods, settings, path):
 
 def test_a_middleware_that_hangs_cannot_keep_a_process_that_has_saved(bench, tmp_path):
     path = tmp_path / "car.json"
-    settings = "running.FAREWELL, running.ONE_WISH = 1.0, float('inf')"
+    settings = "running.FAREWELL, running.SAME_SIGNAL = 1.0, float('inf')"
     with one_node(HANGS_AT_THE_END, settings, path) as process:
         await_line(process, "waiting for power/smoothed")
         process.send_signal(signal.SIGINT)
@@ -92,7 +92,7 @@ def test_a_start_that_hangs_ends_and_says_where(tmp_path):
 
 def test_a_later_signal_ends_at_once_what_has_saved(bench, tmp_path):
     path = tmp_path / "car.json"
-    settings = "running.FAREWELL, running.ONE_WISH = 600.0, float('inf')"
+    settings = "running.FAREWELL, running.SAME_SIGNAL = 600.0, float('inf')"
     with one_node(TAKES_LONG, settings, path) as process:
         await_line(process, "waiting for power/smoothed")
         process.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Newest messages of a running system with their times of arrival, s; without ROS or a clock."""
+"""Newest messages of running nodes with their times of arrival, s; without ROS or a clock."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ NOTHING = "nothing received yet: are nodes up (evpinn run), with this ROS_DOMAIN
 
 
 class ParameterRow(NamedTuple):
-    """One parameter; NaN and empty text if nothing was received."""
+    """One parameter; NaN and empty text if not received."""
 
     name: str
     value: float
@@ -87,7 +87,7 @@ class PowerHistory:
             del bins[min(bins)]
 
     def last(self, kind: str, count: int) -> list[float]:
-        """The newest bins, W, oldest first; NaN if nothing was received."""
+        """The newest `count` bins, W, oldest first; NaN for an empty bin."""
         bins = self._bins.get(kind, {})
         if self.newest_ns is None:
             return [math.nan] * count
@@ -119,7 +119,7 @@ class LiveData:
         self._charge_scale = ChargeScale()
 
     def take(self, topic: Topic, message: Any, now: float) -> None:
-        """Take one message of a topic of `WATCHED`, of any class family, at `now`, s."""
+        """Take a message of rclpy or rosbags from a topic of `WATCHED` at `now`, s."""
         self._first.setdefault(topic, now)
         self._last[topic] = now
         self._arrivals[topic].append(now)
@@ -188,7 +188,7 @@ class LiveData:
         return self.speed if age < STALE_AFTER else math.nan
 
     def fresh_battery(self, now: float) -> BatteryReading | None:
-        """Voltage and current, None if their topic is silent."""
+        """The newest battery reading, None if its topic is silent."""
         return self.battery if self.age(topics.BATTERY, now) < STALE_AFTER else None
 
     def vector(self, topic: Topic) -> Mapping[str, float]:
@@ -207,7 +207,7 @@ class LiveData:
         return self.vector(topics.ENERGY_RANGE).get("state_of_charge", received)
 
     def consumption(self) -> float:
-        """Wh/km of this trip, NaN while unknown; the node publishes it from the first km on."""
+        """Wh/km of this trip, which the node publishes from 1 km on; NaN below 100 m."""
         consumption = self.vector(topics.ENERGY_CONSUMPTION)
         distance = consumption.get("distance_trip", 0.0)
         if "wh_per_km_trip" in consumption or distance < LEAST_DISTANCE:
@@ -249,7 +249,7 @@ class LiveData:
         return bool(self._last)
 
     def problems(self, now: float) -> list[tuple[Level, str]]:
-        """Missing inputs and their reasons, the worst first; empty without problems."""
+        """(level, text) of each problem, the worst first."""
         if not self.received:
             return [(Level.WARN, NOTHING)]
         if not self.statuses:
@@ -278,7 +278,7 @@ class LiveData:
         return sorted(problems, key=lambda problem: problem[0], reverse=True)
 
     def activity(self, now: float) -> str:
-        """Activity of the estimator, in its own words; empty if it is silent."""
+        """Text of the estimator's status; empty if it is silent."""
         status = self.statuses.get("estimator: estimate")
         return status.text if status is not None and now - status.arrived < STALE_AFTER else ""
 

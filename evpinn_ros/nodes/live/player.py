@@ -19,16 +19,17 @@ from evpinn_ros.nodes.factory import is_installed, message_class, qos_profile
 from evpinn_ros.nodes.live.data import NODES
 from evpinn_ros.topics import QUEUE_DEPTH, Qos
 
-LONGEST_PAUSE = 10.0  # s; longer parts of the bag without messages are shortened to it
+LONGEST_PAUSE = 10.0  # s; longer pauses in the bag are shortened to it
 POLL = 0.1  # s
-DISCOVERY = 1.0  # s to discover the other subscribers too
+DISCOVERY = 1.0  # s to wait for further subscribers after the first
 KEPT = Qos(reliable=True, transient_local=True, depth=QUEUE_DEPTH)  # suits every subscriber
 
 
 def play(reader: BagReader, rate: float, loop: bool, note: Callable[[str], None]) -> None:
-    """Play once a viewer subscribes, and keep the last messages until a signal.
+    """Play once a viewer subscribes, and keep the last messages available until a signal.
 
-    InputError: the bag has nothing to show, or running nodes would learn from it.
+    Raises:
+        InputError: the bag has nothing to show, or running nodes would learn from it.
     """
     types = {
         name: info.type_name
@@ -70,7 +71,7 @@ class _Player(Node):
         }
 
     def watched(self) -> bool:
-        """True if a viewer subscribes; InputError for a node that would learn from the bag."""
+        """Whether a viewer subscribes; InputError for a node that would learn from the bag."""
         subscribers = {
             info.node_name
             for name in self._outlets

@@ -1,4 +1,4 @@
-"""The live view as text of a given size, as one line for pipes, and as JSON for scripts."""
+"""The live view as a screen of text, as a line, and as JSON."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ COLUMNS = (
 
 
 def screen(data: LiveData, now: float, width: int, height: int) -> Text:
-    """The view, within the given width and height; less important rows are left out."""
+    """The view in `width` x `height` characters; less important rows are left out."""
     problems = data.problems(now)
     breakdown = list(_breakdown(data, width))
-    # In the order of importance, with the rows that each needs.
+    # Rows that each part needs, the most important part first.
     needs = {
         "title": 1,
         "problems": min(len(problems), 1),
@@ -102,7 +102,7 @@ def screen(data: LiveData, now: float, width: int, height: int) -> Text:
 
 
 def plain_line(data: LiveData, now: float) -> str:
-    """The state in one line without styles, for pipes and files."""
+    """The values of the view as one line."""
     if not data.received:
         return NOTHING
     parts = [_speed(data, now), _owner(data).plain]
@@ -120,7 +120,7 @@ def plain_line(data: LiveData, now: float) -> str:
 
 
 def problem_lines(data: LiveData, now: float) -> list[str]:
-    """Missing inputs and their reasons, one line each."""
+    """A line for each problem."""
     return [f"{level.name.lower()}: {text}" for level, text in data.problems(now)]
 
 
@@ -188,7 +188,7 @@ def _power(data: LiveData, now: float, width: int, rows: int) -> Iterable[Text]:
 
 
 def power_axis(values: Sequence[float]) -> tuple[float, float]:
-    """Round ends, W, of an axis with zero and all possible values; NaN are ignored."""
+    """Round ends, W, of an axis that contains zero and all plausible values; NaN is ignored."""
     plausible = [value for value in values if abs(value) < BEYOND_ANY_CAR]
     low, high = min([0.0, *plausible]), max([0.0, *plausible])
     span = max(high - low, 1000.0)
@@ -234,7 +234,7 @@ def _owner(data: LiveData) -> Text:
 
 
 def _range(data: LiveData) -> str:
-    """Distance to empty with its 90 % band; while unknown, from which distance on it is shown."""
+    """Distance to empty with its 90 % band; while unknown, the distance from which on it is."""
     values = data.vector(topics.ENERGY_RANGE)
     ends = ("to_empty", "lower", "upper")
     metres = (values.get(f"distance_{end}", math.nan) for end in ends)
@@ -335,7 +335,7 @@ def _cell(text: str, width: int, *, right: bool = False) -> str:
 
 
 def as_json(data: LiveData, now: float) -> dict[str, Any]:
-    """State of the system for scripts (`evpinn watch --json`): SI, None or NaN if unknown."""
+    """Values of the view for `evpinn watch --json`, in SI; None or NaN if unknown."""
     battery = data.fresh_battery(now)
     parts, sigmas = data.vector(topics.ENERGY_BREAKDOWN), data.sigmas(topics.ENERGY_BREAKDOWN)
     return {

@@ -1,4 +1,4 @@
-"""Live view of a running system: receives our topics, and shows them ten times a second."""
+"""Live view: receives the topics of running nodes, and shows them ten times a second."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from evpinn_ros.nodes.live.data import NOTHING, WATCHED, LiveData
 from evpinn_ros.nodes.live.screen import as_json, plain_line, problem_lines, screen
 from evpinn_ros.topics import NAMESPACE, QUEUE_DEPTH, Qos
 
-PERIOD = 0.1  # s between two pictures
-PLAIN_PERIOD = 1.0  # s between two lines
+PERIOD = 0.1  # s between updates of the screen
+PLAIN_PERIOD = 1.0  # s between lines
 YIELDS = 5  # niceness: the nodes have priority
 END_TIMEOUT = 5.0  # s for the view to restore the terminal
 
@@ -75,10 +75,12 @@ def watch(
     plain: bool = False,
     json_file: Path | None = None,
 ) -> None:
-    """Show a running system until a signal, or until the parent process has gone.
+    """Show running nodes until a signal, or until the parent process has ended.
 
-    `plain` prints lines; `json_file` (`-`: stdout) gets a JSON object a second. InputError: wrong
-    namespace, no ROS, or the file exists.
+    `plain` prints lines; `json_file` (`-`: stdout) gets a JSON object a second.
+
+    Raises:
+        InputError: the namespace is wrong, ROS does not start, or `json_file` exists.
     """
     os.nice(YIELDS)
     # As in `running.run`: rclpy's own handler shuts down at SIGINT.
@@ -170,7 +172,7 @@ def _follow(listener: LiveListener, shows: Sequence[tuple[float, Show]]) -> None
 
 @contextmanager
 def live_view(units: Units) -> Iterator[None]:
-    """Show the nodes of this process by another process; stderr is printed after it ends."""
+    """Show the nodes of this process from another process; prints stderr after the view ended."""
     # Spawned, not forked: ROS and torch have threads.
     view = multiprocessing.get_context("spawn").Process(
         target=watch, args=(NAMESPACE, units), daemon=True
