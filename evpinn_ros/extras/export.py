@@ -38,10 +38,10 @@ class RmfEnergy:
 
     voltage: float  # of the battery, V
     capacity: Uncertain  # A h at this voltage, and 1-sigma; NaN if unknown
-    mass: float  # kg, gives the energy in RMF's formula; not the weight
+    mass: float  # kg, in RMF's formula; not the weight
     friction: float  # coefficient
     ambient: float  # constant power, moving or not, W
-    speed: float  # for which these values hold, m/s
+    speed: float  # m/s at which these values hold
     trip: Uncertain  # energy of the longer compared trip, J, and its 1-sigma
     trip_metres: float  # length of that trip, m
 
@@ -49,9 +49,12 @@ class RmfEnergy:
 def rmf_energy(
     model: PowerModel, vehicle: Vehicle, capacity: Uncertain, speed: float | None = None
 ) -> RmfEnergy:
-    """Parameters with which RMF computes the forecast energy; InputError if impossible.
+    """Parameters with which RMF computes the forecast energy.
 
-    The capacity is J; the speed is m/s, by default `nominal_speed` of the vehicle file.
+    `capacity`: J. `speed`: m/s, by default `nominal_speed` of the vehicle file.
+
+    Raises:
+        InputError: the model gives no positive energy for driving.
     """
     if speed is None:
         speed = NOMINAL_SPEED if math.isnan(vehicle.nominal_speed) else vehicle.nominal_speed
@@ -66,7 +69,7 @@ def rmf_energy(
     mass = (more.value - ambient * long.time[-1] - force * long.distance[-1]) / speed**2
     if not (mass > 0.0 and force > 0.0):
         raise InputError(
-            f"by what is known of {vehicle.key} now it costs nothing to drive: let it learn on"
+            f"what was learned of {vehicle.key} gives no energy for driving; replay more drives"
         )
     charge = vehicle.nominal_voltage * SECONDS_PER_HOUR
     return RmfEnergy(
@@ -120,7 +123,9 @@ def rmf(
     capacity: Annotated[
         float | None,
         typer.Option(
-            min=0.1, max=1e4, help="Capacity of the battery, A h; else as learned, or by its file."
+            min=0.1,
+            max=1e4,
+            help="Capacity of the battery, A h; if not given, as learned, or of the vehicle file.",
         ),
     ] = None,
     charging_current: Annotated[
@@ -138,9 +143,8 @@ def rmf(
 ) -> None:
     """Print battery, mass and loads for the fleet adapter of Open-RMF.
 
-    Put the lines under `rmf_fleet` in the adapter's config.yaml. The formula of RMF has neither
-    efficiency nor regeneration: the printed mass and friction are those with which it gives the
-    energy that was learned.
+    Put the lines under `rmf_fleet` in the adapter's config.yaml. RMF's formula has neither
+    efficiency nor regeneration: the printed mass and friction make it give the learned energy.
 
     Example: evpinn export rmf robot.json --vehicle mobile_robot --capacity 25
     """
@@ -156,7 +160,7 @@ def rmf(
     if not math.isfinite(holds.value):
         raise InputError(
             f"the capacity of the battery of {vehicle} is not known: give --capacity, write "
-            "battery_capacity into its vehicle file, or replay a drive that takes ten percent"
+            "battery_capacity into its vehicle file, or replay a drive that uses 10 % of charge"
         )
     current = holds.value / CHARGED_IN if charging_current is None else charging_current
     inertia = robot.mass * radius**2 / 2.0

@@ -1,1 +1,1 @@
-"""Bridges to cars with live data elsewhere: MQTT (TeslaMate, OVMS, any topics), COVESA VSS."""
+"""Bridges to live data of cars over MQTT (TeslaMate, OVMS, any topics) and COVESA VSS."""

@@ -1,4 +1,4 @@
-"""Connects MQTT topics to one chain for each car.
+"""Connects the MQTT topics of each car to its own chain.
 
 It publishes below `BASE/NAME`: `power` at most once a second, not retained; `energy`,
 `consumption`, `range`, `breakdown`, `parameters` and `health` at each change, retained. All are
@@ -26,7 +26,7 @@ from evpinn_ros.extras.bridges.snapshot import Snapshots, is_due
 POWER_NS = 9 * NANOSECONDS // 10  # between powers: one a second from a source with jitter
 DOCUMENTS_NS = 10 * NANOSECONDS  # between other documents
 SAVE_NS = 60 * NANOSECONDS  # between saved states, as in the nodes
-MOST_CARS = 16  # anybody can invent topics; each car takes some ten MB
+MOST_CARS = 16  # anybody can publish topics of new cars; each takes some ten MB
 MOST_HELD = 10_000  # retained messages of silent cars without a name in the settings
 WAIT_S = 0.5  # longest wait for a message
 
@@ -46,12 +46,12 @@ class BridgeSettings:
 
     @property
     def status_topic(self) -> str:
-        """Topic of birth and last will."""
+        """Topic of the bridge's birth message and last will."""
         return f"{self.base}/status"
 
     @property
     def birth_topic(self) -> str:
-        """Topic on which Home Assistant announces its start, and expects discovery again."""
+        """Topic on which Home Assistant announces its start, after which it needs discovery."""
         return f"{self.discovery}/status"
 
     @property
@@ -98,7 +98,10 @@ class MqttBridge:
         return {name: seen.car for name, seen in self._seen.items()}
 
     def step(self, wait: float = WAIT_S) -> bool:
-        """Take a message within `wait`, s, and publish and save what is due; True if one came."""
+        """Take a message within `wait`, s, and publish and save what is due.
+
+        Returns whether a message came.
+        """
         now_ns = self._clock()
         due_ns = min((seen.snapshots.due_ns for seen in self._seen.values()), default=math.inf)
         message = self._connection.next_message(min(wait, max(due_ns - now_ns, 0) / NANOSECONDS))
@@ -126,7 +129,7 @@ class MqttBridge:
                 self._note(car.problem)
 
     def close(self) -> None:
-        """Process waiting messages for some seconds; publish all a last time, and save."""
+        """Process waiting messages for some seconds, publish all documents, and save."""
         until = time.monotonic() + FAREWELL_S
         while time.monotonic() < until and self.step(0.0):
             pass
@@ -136,7 +139,7 @@ class MqttBridge:
         self.save()
 
     def _begin_again(self) -> None:
-        """After a new connection: drop old values, and publish again what the broker may lack."""
+        """After a new connection: drop old values, and publish all documents again."""
         self._held.clear()
         for seen in self._seen.values():
             seen.snapshots.forget()
@@ -161,7 +164,7 @@ class MqttBridge:
         self._feed(seen, seen.snapshots.add(parsed, arrived_ns, retained=retained))
 
     def _hold(self, retained: Parsed, arrived_ns: int) -> bool:
-        """True if a retained message is kept until its car, which has no name here, sends."""
+        """Keep a retained message of an unknown car until it sends; False if the car is known."""
         if retained.car in self._seen or retained.car in self.settings.vehicles:
             return False
         if retained.values and sum(map(len, self._held.values())) < MOST_HELD:
@@ -201,7 +204,7 @@ class MqttBridge:
             seen.documents_ns = 0
 
     def _publish_due(self, seen: _Seen, now_ns: int) -> None:
-        """Publish due documents; stamps of the car decide, so that replays work too."""
+        """Publish due documents: the power by the car's stamps, so that replays work, too."""
         newest_ns = seen.car.newest_ns
         if newest_ns is not None and is_due(seen.power_ns, newest_ns, POWER_NS):
             seen.power_ns = newest_ns

@@ -25,7 +25,7 @@ PORT, TLS_PORT = 1883, 8883
 IN_FLIGHT = 20  # messages
 MOST_WAITING = 10_000  # received, unprocessed messages; a minute of 160 a second
 LONGEST_PAYLOAD = 16_000  # bytes; no value is larger, and 10,000 of this size take 160 MB
-RECONNECT_S = 1, 30  # first and longest wait; each is twice the last
+RECONNECT_S = 1, 30  # first and longest wait; each wait is twice the one before
 KEEP_ALIVE_S = 30
 FAREWELL_S = 3.0  # to send the last messages
 ONLINE, OFFLINE = "online", "offline"
@@ -66,7 +66,7 @@ class Message(NamedTuple):
 
 
 class Connection:
-    """A client of a broker with a thread of its own."""
+    """A client of a broker, with its own thread."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class Connection:
             self._in_flight.append(self._client.publish(topic, payload, 1, retain))
 
     def _on_the_way(self) -> int:
-        """Number of unacknowledged messages; the client sends them again after a loss."""
+        """Number of unacknowledged messages, which the client sends again after a loss."""
         while self._in_flight and self._in_flight[0].is_published():
             self._in_flight.popleft()
         return len(self._in_flight)

@@ -26,7 +26,7 @@ DRIVE_GAP_NS = 15 * 60 * NANOSECONDS
 """A drive ends after this time without speed, or at standstill."""
 STANDS = 0.1  # m/s
 HELD = JumpRule(policy=JumpPolicy.HOLD)
-"""Setting back the clock of the broker's host must not reset the learned state."""
+"""A clock set back on the broker's host must not reset the learned state."""
 
 Document = Mapping[str, Any]
 
@@ -37,11 +37,10 @@ class BridgedCar:
     def __init__(
         self, name: str, vehicle: Vehicle, settings: EstimatorSettings, state: Path | None = None
     ) -> None:
-        """Go on from the state of the car if its file exists and is usable."""
+        """Start from the state file of the car if it exists and is usable."""
         self.name, self.vehicle, self._settings = name, vehicle, settings
         self.chain = Chain(vehicle, settings, InlineWorker(time.perf_counter), HELD)
-        # Stamp of the last confirmed reading, None before the first. It follows a clock that is
-        # set back.
+        # Stamp of the last confirmed reading, None before the first; follows a clock set back.
         self.newest_ns: int | None = None
         self.readings = 0  # number of readings so far
         self._moved_ns: int | None = None
@@ -96,7 +95,7 @@ class BridgedCar:
         return moved_ns is not None and int(moving_ns[0]) - moved_ns >= DRIVE_GAP_NS
 
     def save(self) -> None:
-        """Write the learned state and the account, if they are new."""
+        """Write the learned state and the account, if there were new readings."""
         if self.readings == self._saved:
             return
         for state_file in self._files:

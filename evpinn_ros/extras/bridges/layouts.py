@@ -1,4 +1,4 @@
-"""Mappings of MQTT topics to quantities, units and signs, from `config/mqtt/` or a user's file."""
+"""Mappings of MQTT topics to quantities, read from `config/mqtt/` or a user's file."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Rule:
     offset: float = 0.0  # added after `scale`, as of degrees Fahrenheit
 
     def value(self, text: object) -> Value:
-        """The value in the unit of the quantity, NaN if the text is none."""
+        """The value in the unit of the quantity; NaN if the text has no value."""
         if self.words is not None:
             return Value(self.words.get(str(text), self.otherwise))
         try:
@@ -85,7 +85,7 @@ class Value(NamedTuple):
 class Parsed(NamedTuple):
     """Content of a message."""
 
-    car: str  # its name
+    car: str  # name of the car
     values: Mapping[Measurand, Value]  # by quantity
     stamp_ns: int | None = None  # None if the message has none
     user: str = ""  # wildcard level above the car's, as of OVMS; empty without one
@@ -103,8 +103,11 @@ class Layout:
     ) -> None:
         """Make a layout of rules by topic (`{car}` is the car's name) and field ("": the payload).
 
-        `base` begins all topics; `around` are filters of a publisher that sends changes; `stamp`
-        is a JSON field. InputError: a topic is invalid in MQTT.
+        `base` is the start of all topics; `around` are topic filters of a publisher that sends
+        only changes; `stamp` is the JSON field of the time.
+
+        Raises:
+            InputError: a topic is invalid in MQTT.
         """
         rules = {**topics, **{topic: {} for topic in around if topic not in topics}}
         self._rules = {_expression(base + topic): rules[topic] for topic in rules}

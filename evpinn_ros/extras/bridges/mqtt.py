@@ -1,4 +1,4 @@
-"""`evpinn mqtt`: cars whose data already flow over MQTT, live."""
+"""`evpinn mqtt`: learns cars from MQTT topics."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def mqtt(
         typer.Option(metavar="NAME=VEHICLE", help="Vehicle of one car; may be repeated."),
     ] = None,
     source: Annotated[
-        str, typer.Option(help="Who publishes: teslamate, ovms, or a mapping file of topics.")
+        str, typer.Option(help="Topics to read: teslamate, ovms, or a file that maps topics.")
     ] = "teslamate",
     namespace: Annotated[
         str, typer.Option(help="MQTT_NAMESPACE of TeslaMate, or topic.prefix of OVMS.")
@@ -51,17 +51,17 @@ def mqtt(
     tls: Annotated[
         bool, typer.Option("--tls", help="Encrypt the connection; the port is then 8883.")
     ] = False,
-    ca: Annotated[str | None, typer.Option(help="File of trusted authorities (TLS).")] = None,
-    cert: Annotated[
-        str | None, typer.Option(help="File of the certificate of this client.")
+    ca: Annotated[
+        str | None, typer.Option(help="File of trusted certificate authorities.")
     ] = None,
-    key: Annotated[str | None, typer.Option(help="File of the key of that certificate.")] = None,
+    cert: Annotated[str | None, typer.Option(help="File of the client certificate.")] = None,
+    key: Annotated[str | None, typer.Option(help="Key file of the client certificate.")] = None,
     base: Annotated[str, typer.Option(help="Publish below this topic.")] = "evpinn",
     discovery: Annotated[
         str, typer.Option(help="Home Assistant's discovery prefix; '' for none.")
     ] = "homeassistant",
     state: Annotated[
-        Path | None, typer.Option(help="Keep what is learned about each car in this folder.")
+        Path | None, typer.Option(help="Folder of what was learned, with one file per car.")
     ] = None,
     params: ParamsOption = None,
 ) -> None:
@@ -139,7 +139,7 @@ def _pair(text: str) -> tuple[str, str]:
 
 def _topic(option: str, text: str) -> str:
     if not text.strip("/") or {"+", "#", "\0"} & set(text) or text.startswith("$"):
-        raise typer.BadParameter(f"{option}: '{text}' is no topic to publish on")
+        raise typer.BadParameter(f"{option}: '{text}' is not a topic to publish to")
     return text.strip("/")
 
 

@@ -1,4 +1,4 @@
-"""Topics of single numbers of a car, and their discovery messages for Home Assistant.
+"""Topics of a car's single numbers, and their discovery messages for Home Assistant.
 
 Sources: home-assistant.io, "MQTT" and "MQTT sensor"; developers.home-assistant.io, "Sensor
 entity".
@@ -18,7 +18,7 @@ MEASUREMENT, INCREASING = "measurement", "total_increasing"
 
 
 def number_at(document: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
-    """The number at a path of keys in a document; None if there is none."""
+    """The finite number at a path of keys in a document, else None."""
     value: Any = document
     for key in path:
         value = value.get(key) if isinstance(value, Mapping) else None
@@ -44,7 +44,7 @@ class Sensor:
         return "/".join((self.document, *self.path))
 
     def text(self, document: Mapping[str, Any]) -> str:
-        """The number as a payload; without one "None", which Home Assistant shows as unknown."""
+        """The number as a payload, or "None", which Home Assistant shows as unknown."""
         number = number_at(document, self.path)
         return "None" if number is None else f"{number:.{self.digits}f}"
 

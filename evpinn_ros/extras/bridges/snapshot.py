@@ -1,8 +1,8 @@
 """Makes readings of one car from single values that arrive irregularly or only on change.
 
-Any message of a car confirms its other values: the values within `BURST_NS` and those that still
-hold are one set of readings, stamped by the first arrival if messages have no stamp. A retained
-value may be days old: it is used once the car sends it, a lasting one once the car sends anything.
+Values within `BURST_NS`, and earlier ones that still hold, are one set of readings, stamped by the
+first arrival if messages have no stamp. Any message of a car confirms its other values. A retained
+value may be days old: it is used once the car sends it, a `LASTING` one once the car sends any.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Snapshots:
     """Collects values of one car into sets of readings."""
 
     def __init__(self, nominal_voltage: float, *, on_change: bool) -> None:
-        """Begin; with `on_change`, values are sent when they change, and hold until then."""
+        """With `on_change`, a value holds until the car sends another."""
         self._nominal_voltage, self._on_change = nominal_voltage, on_change
         self._held: dict[Measurand, Value] = {}
         self._burst_ns: int | None = None
@@ -43,7 +43,7 @@ class Snapshots:
         return math.inf if self._burst_ns is None else self._burst_ns + BURST_NS
 
     def forget(self) -> None:
-        """After a lost connection: forget values that may have changed meanwhile."""
+        """Forget values that may have changed while the connection was lost."""
         self._held = {
             quantity: held for quantity, held in self._held.items() if quantity in LASTING
         }
@@ -100,7 +100,7 @@ class Snapshots:
         return readings if speed is None else [*readings, speed]
 
     def _asleep(self, stamp_ns: int) -> list[Reading]:
-        """Readings of charge alone: speed and power of a parked car are old, or of the charger."""
+        """The charge alone: other values of a parked car are old, or belong to the charger."""
         for quantity in (Measurand.SPEED, Measurand.POWER, Measurand.CURRENT, Measurand.VOLTAGE):
             self._held.pop(quantity, None)
         charge = self._value(Measurand.CHARGE)
@@ -127,5 +127,5 @@ class Snapshots:
 
 
 def is_due(last_ns: int, now_ns: int, period_ns: int) -> bool:
-    """True if a period has passed since the last time, or the clock was set back."""
+    """Whether a period has passed since `last_ns`, or the clock was set back."""
     return not 0 <= now_ns - last_ns < period_ns

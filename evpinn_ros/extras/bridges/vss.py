@@ -1,4 +1,4 @@
-"""`evpinn vss`: a car behind a KUKSA databroker, live."""
+"""`evpinn vss`: learns a car from the signals of a KUKSA databroker."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ OUTPUTS: Mapping[str, tuple[str, ...]] = {
     },
 }
 """Keys in the documents of a car for each written signal."""
-METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # integers; ours are km
+METRES = {f"{BATTERY}.Range", f"{OURS}.RangeLower", f"{OURS}.RangeUpper"}  # integers, from km
 OLD_NS = 10 * NANOSECONDS  # age of initial values from a databroker
 SEND_NS = NANOSECONDS  # between sets of written signals
 NOT_FOUND = 5  # of gRPC: the databroker has no such signal
@@ -93,7 +93,7 @@ class DatabrokerFeed:
     def run(self) -> Iterator[None]:
         """Receives updates and sends due signals; yields after each update; or VSSClientError."""
         for number, updates in enumerate(self._client.subscribe_current_values(INPUTS)):
-            # The first update may have old values; later ages only show errors of clocks.
+            # The first update may have old values; later, an age only shows an error of clocks.
             self._take(updates, OLD_NS if number == 0 else None)
             newest_ns = self._car.newest_ns
             if newest_ns is not None and is_due(self._sent_ns, newest_ns, SEND_NS):
@@ -144,7 +144,9 @@ SAVE_S = 60.0
 
 def vss(
     vehicle: VehicleOption,
-    databroker: Annotated[str, typer.Option(help="HOST or HOST:PORT.")] = f"localhost:{PORT}",
+    databroker: Annotated[
+        str, typer.Option(help="Address of the databroker, HOST or HOST:PORT.")
+    ] = f"localhost:{PORT}",
     ca: Annotated[
         Path | None, typer.Option(help="Use TLS with this certificate authority.")
     ] = None,
@@ -192,7 +194,7 @@ def _follow(feed: DatabrokerFeed, save: Callable[[], None]) -> None:
     saved, noted = time.monotonic(), False
     for _ in feed.run():
         if feed.missing and not noted:
-            note(f"evpinn: without the overlay of evpinn: {', '.join(sorted(feed.missing))}")
+            note(f"evpinn: not in the databroker's VSS: {', '.join(sorted(feed.missing))}")
             noted = True
         if time.monotonic() - saved > SAVE_S:
             save()

@@ -3,7 +3,7 @@
 Every drive starts from the saved state, never from memory, so a stopped run gives the same numbers
 and a failing drive changes nothing. The folder of the car has `state.json` for `evpinn replay
 --state`, and `result.json`: rows with the fingerprint of their input, and the evidence. A later
-run continues, or begins anew if an earlier drive changed.
+run continues, or starts anew if an earlier drive changed.
 """
 
 from __future__ import annotations
@@ -70,18 +70,18 @@ def drive_row(replayed: Replayed) -> dict[str, Any]:
 
 
 def failed_row(problem: str) -> dict[str, Any]:
-    """The row of a failed drive: the problem, other columns unknown."""
+    """The row of a failed drive; other columns than the problem are unknown."""
     return {"problem": problem, "samples": 0}
 
 
 def point_of(row: Mapping[str, Any]) -> DrivePoint | None:
-    """Point of a drive in trends, from its row; None if short or failed."""
+    """Point of a drive for trends, from its row; None if short or failed."""
     known = row.get("distance_m") is not None
     return DrivePoint(*(row[name] for name in POINT)) if known else None
 
 
 def impossible(row: Mapping[str, Any]) -> list[str]:
-    """Names of parameters with impossible values or contradicting signals."""
+    """Names of parameters that are invalid after a drive."""
     return [name for name in PARAMETER_NAMES if row.get(f"{name}_state") == Trust.INVALID.value]
 
 
@@ -104,12 +104,12 @@ class CarTask:
 
 @dataclass(frozen=True, slots=True)
 class CarDone:
-    """Numbers of drives of a car: learned now, learned before, and failed among all."""
+    """Numbers of drives of a car."""
 
     car: str
-    learned: int
-    kept: int
-    failed: int
+    learned: int  # in this run
+    kept: int  # learned in earlier runs
+    failed: int  # of all
 
 
 def car_folder(out: Path, car: CarDrives) -> Path:
@@ -118,7 +118,12 @@ def car_folder(out: Path, car: CarDrives) -> Path:
 
 
 def learn_car(task: CarTask) -> CarDone:
-    """Learn the drives not learned yet; StoppedError if the user stops it, or InputError."""
+    """Learn the drives not learned yet.
+
+    Raises:
+        StoppedError: the user stopped the run.
+        InputError: the car's files cannot be written.
+    """
     limit_blas_threads()
     _stop_if(task.stop)
     vehicle = task.drives.vehicle
@@ -142,13 +147,13 @@ class _Input:
 
     @classmethod
     def of(cls, path: Path, learned: _CarFiles) -> _Input:
-        """Input of a drive; known results are not read again."""
+        """Input of a drive; its start is known from earlier results, or read."""
         try:
             fingerprint = _fingerprint(path)
             start = learned.starts.get(fingerprint)
             start_ns = start if start is not None else _first_stamp(path, learned.vehicle)
             return cls(path, fingerprint, start_ns, None)
-        except Exception as error:  # whatever is wrong with one drive, the others go on
+        except Exception as error:  # must not stop the other drives
             return cls(path, "", 0, with_kind(error))
 
     def order(self) -> tuple[int, str]:
@@ -171,7 +176,7 @@ class _CarFiles:
         self.starts: dict[str, int] = {r["fingerprint"]: r["start_ns"] for r in self.rows}
 
     def keep(self, fingerprints: list[str]) -> int:
-        """Keep existing results of the first drives, or begin anew; returns the number kept."""
+        """Keep existing results of the first drives, or start anew; returns the number kept."""
         learned = [row["fingerprint"] for row in self.rows]
         if fingerprints == learned:
             return len(learned)
@@ -184,7 +189,7 @@ class _CarFiles:
         return len(self.rows)
 
     def add(self, drive: _Input, row: dict[str, Any], state: dict[str, Any] | None) -> None:
-        """Write the files after one more drive; a failed drive has no state."""
+        """Write the files after another drive; `state` is None if it failed."""
         self.rows.append({**drive.row(), **row})
         self.state = state or self.state
         evidence = evidence_of_state(self.vehicle, self.state) if self.state else NO_EVIDENCE
@@ -243,12 +248,12 @@ def _learn(
         )
     except StoppedError:
         raise
-    except Exception as error:  # whatever is wrong with one drive, the others go on
+    except Exception as error:  # must not stop the other drives
         return failed_row(with_kind(error)), None
 
 
 def read_result(folder: Path, vehicle: Vehicle) -> dict[str, Any]:
-    """Saved result of this version of the program and of the vehicle file; empty if none."""
+    """Saved result; empty if none, or if made by another version or from another vehicle file."""
     result = _read(folder / RESULT_FILE)
     return result if result.get("basis") == _basis(vehicle) else {}
 

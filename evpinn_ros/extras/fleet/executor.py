@@ -1,7 +1,7 @@
-"""Executors of tasks: the cores of this machine, or a Dask cluster.
+"""Run tasks on the cores of this machine, or on a Dask cluster.
 
-Both hold few tasks at a time, and yield each as it ends, with its result; a task that fails, or
-kills its worker, yields a problem.
+Both executors hold few tasks at a time, and yield each with its result as it ends; a task that
+fails, or kills its worker, yields a problem.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class TaskOutcome(Generic[Task, Result]):
 
 
 class LocalExecutor:
-    """Runs single-threaded processes, each with its own pool: a killed one loses only its task."""
+    """Runs tasks in processes, each in its own pool, so that a killed one loses only its task."""
 
     def __init__(self, workers: int | None = None) -> None:
         self._count = workers or len(os.sched_getaffinity(0))
@@ -84,7 +84,7 @@ class DaskExecutor:
     """Runs tasks on Dask workers, which must see the same files under the same paths."""
 
     def __init__(self, address: str) -> None:
-        """Connect to a scheduler; InputError without Dask, an answer or a worker."""
+        """Connect to a scheduler; InputError if Dask, an answer or a worker is missing."""
         with optional_imports():
             from distributed import Client
         self._running: dict[Any, Any] = {}

@@ -1,4 +1,4 @@
-"""`evpinn fleet`: many drives of many cars, and what the cars have in common."""
+"""`evpinn fleet`: learns many cars, and the priors of their models."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ MOST_SHOWN = 20  # problems printed; the tables hold all
 def fleet(
     bags: Annotated[
         list[str] | None,
-        typer.Argument(help="Files, folders or patterns; each folder at the top is one car."),
+        typer.Argument(help="Files, folders or patterns; each top-level folder is one car."),
     ] = None,
     out: Annotated[
         Path, typer.Option(help="Folder of the results; the next run continues from them.")
@@ -61,7 +61,7 @@ def fleet(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Number of processes; one for each core if not given."),
+        typer.Option(min=1, help="Number of processes; one per core if not given."),
     ] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler of a cluster.")
@@ -80,7 +80,7 @@ def fleet(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Learn each car from all its drives, and a vehicle file for the next such car.
+    """Learn each car from its drives, and priors for the next car of its model.
 
     Finished work is kept: after a stop, the same command continues. A drive that fails does not
     stop the others.
@@ -109,16 +109,16 @@ def fleet(
         _write(summary, report, write_vehicle_to)
     _show(summary, out)
     if json_file is not None:
-        write_json(json_file, {"out": str(out), "stopped": stopped, **_found(summary)})
+        write_json(json_file, {"out": str(out), "stopped": stopped, **_as_json(summary)})
     if stopped:
-        note("evpinn: stopped; the same command goes on from here")
+        note("evpinn: stopped; the same command continues")
     if stopped or failed or not summary.counts["learned"]:
         raise typer.Exit(1)
 
 
 @contextmanager
 def claimed(out: Path) -> Iterator[None]:
-    """Lock the folder of the results; InputError if it cannot be made or another run writes."""
+    """Lock the folder of the results; InputError if it cannot be made or is locked."""
     with as_input_error(out):
         out.mkdir(parents=True, exist_ok=True)
     with as_input_error(out / LOCK):
@@ -132,7 +132,7 @@ def claimed(out: Path) -> Iterator[None]:
 def learn_fleet(
     cars: Sequence[CarDrives], out: Path, executor: Executor
 ) -> Generator[TaskOutcome[CarTask, CarDone], None, None]:
-    """Learn every car; however the iteration ends, running tasks then end in order."""
+    """Learn every car; when the iteration ends early, running tasks are stopped."""
     tasks = (CarTask(car, car_folder(out, car), out / STOP) for car in cars)
     try:
         yield from executor.outcomes(learn_car, tasks)
@@ -146,7 +146,7 @@ def learn_fleet(
 def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrives]:
     if manifest is not None:
         if bags:
-            raise InputError(f"{manifest}: says which drives there are; give no others beside it")
+            raise InputError(f"{manifest}: lists all drives; give no others")
         return cars_by_manifest(manifest)
     if not bags:
         raise InputError("give bags, folders of bags, or a --manifest")
@@ -156,7 +156,7 @@ def _cars(bags: list[str], vehicle: str, manifest: Path | None) -> list[CarDrive
 def _learn(cars: list[CarDrives], out: Path, executor: Executor, failed: dict[str, str]) -> bool:
     try:
         with (
-            stopped_by(signal.default_int_handler),  # all act as Ctrl-C
+            stopped_by(signal.default_int_handler),  # every signal acts as Ctrl-C
             progress_bar("evpinn fleet", len(cars), unit="cars") as progress,
         ):
             for finished, outcome in enumerate(
@@ -179,8 +179,8 @@ def _write(summary: FleetSummary, report: Path, vehicles: Path | None) -> None:
                 write_vehicle(path, population.priors("evpinn fleet"))
 
 
-def _found(summary: FleetSummary) -> dict[str, Any]:
-    """Values for scripts; the tables have all drives and cars."""
+def _as_json(summary: FleetSummary) -> dict[str, Any]:
+    """The summary for `--json`; the tables have all drives and cars."""
     return {
         **summary.counts,
         "failed": [{"what": what, "why": why} for what, why in summary.problems],

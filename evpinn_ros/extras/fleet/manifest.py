@@ -1,4 +1,4 @@
-"""Drives of each car, by their folders or by a file that lists them."""
+"""Finds the drives of each car, by folders or by a manifest."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MOST_BYTES = 10_000_000  # of a CSV: 100 000 drives
 
 @dataclass(frozen=True, slots=True)
 class CarDrives:
-    """One car of the fleet."""
+    """A car of the fleet and its drives."""
 
     car: str  # its name
     vehicle: Vehicle  # the model
@@ -46,8 +46,10 @@ class _Line(NamedTuple):
 def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
     """A car for each folder in a given one, or for the given folder if it has drives itself.
 
-    Inputs are files, folders or patterns; all cars have one vehicle file. InputError: no drives,
-    or two folders with one name.
+    Inputs are files, folders or patterns; all cars have the same vehicle file.
+
+    Raises:
+        InputError: there are no drives, or two folders have the same name.
     """
     drives: dict[Path, set[Path]] = {}
     seen: set[str] = set()
@@ -60,16 +62,19 @@ def cars_by_folder(inputs: Sequence[str], vehicle: Vehicle) -> list[CarDrives]:
         if named.setdefault(folder.name, folder) != folder:
             raise InputError(
                 f"{named[folder.name]} and {folder} would both be car '{folder.name}'; "
-                "say in a --manifest which drive is whose"
+                "assign the drives in a --manifest"
             )
     return _fleet((folder.name, vehicle, paths) for folder, paths in drives.items())
 
 
 def cars_by_manifest(path: Path) -> list[CarDrives]:
-    """Cars of `fleet.yaml` or a CSV; paths in it are relative to it.
+    """Cars of a YAML or CSV manifest; paths in it are relative to it.
 
     The YAML has `cars`, from names to `vehicle` and `drives`; the CSV has columns drive, car and
-    vehicle. InputError: the file is unreadable, empty or contradictory.
+    vehicle.
+
+    Raises:
+        InputError: the file is unreadable, empty or contradictory.
     """
     drives: dict[str, set[Path]] = {}
     models: dict[str, str] = {}
@@ -88,7 +93,7 @@ def cars_by_manifest(path: Path) -> list[CarDrives]:
                 if real not in owner:
                     drives.setdefault(line.car, set()).add(drive)
                 if owner.setdefault(real, line.car) != line.car:
-                    raise InputError(f"{line.where}: {drive} is of car '{owner[real]}' already")
+                    raise InputError(f"{line.where}: {drive} already belongs to '{owner[real]}'")
     return _fleet((car, vehicles[models[car]], path) for car, path in drives.items())
 
 

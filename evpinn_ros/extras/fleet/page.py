@@ -1,4 +1,4 @@
-"""The printable report of a fleet in one HTML file."""
+"""The page of `evpinn fleet`, and its cells and charts."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def write_fleet_page(path: Path, summary: FleetSummary, command: str) -> None:
 
 
 def fleet_sentence(counts: Mapping[str, int]) -> str:
-    """Sentence with the numbers of cars and drives."""
+    """Sentence with the numbers of cars, drives and problems."""
     cars, drives = (counted(counts[name], name[:-1]) for name in ("cars", "drives"))
     problems = counted(counts["problems"], "problem") if counts["problems"] else "no problem"
     return f"{cars}, {counts['learned']} of {drives} learned, {problems}."
@@ -98,13 +98,13 @@ def _car_cells(row: dict[str, Any]) -> Sequence[str]:
 
 
 class Whisker(NamedTuple):
-    """A row of a chart: its name and text, and value and 1-sigma in percent of the width."""
+    """A row of a chart; positions are in percent of the width."""
 
     name: str
     text: str
-    low: float
-    at: float
-    high: float
+    low: float  # value minus 1-sigma
+    at: float  # value
+    high: float  # value plus 1-sigma
     kind: str  # "file", "car", or "model"
 
 

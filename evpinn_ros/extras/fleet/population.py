@@ -72,7 +72,7 @@ class Population:
         return self.of_car(name, NO_EVIDENCE)
 
     def of_car(self, name: str, car: Evidence) -> tuple[float, float]:
-        """Mean and 1-sigma of it for one car, from the vehicle file and the car's evidence."""
+        """Mean and 1-sigma for one car, from the vehicle file and the car's evidence."""
         direction = _direction(name)
         scaled = direction * self._scale
         doubt = np.linalg.inv(np.eye(SIZE) + car.precision)

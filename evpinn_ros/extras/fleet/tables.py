@@ -1,4 +1,4 @@
-"""Results of a fleet as Parquet, made from the files of one car after the other to save memory."""
+"""Writes the results of a fleet as Parquet, one car after the other to save memory."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ POPULATION_COLUMNS = {
 
 @dataclass
 class FleetSummary:
-    """Summary of a fleet for a person."""
+    """What terminal and page show of a fleet."""
 
     populations: dict[str, Population] = field(default_factory=dict)  # by vehicle model
     cars: list[dict[str, Any]] = field(default_factory=list)  # `SHOWN` rows of the table
@@ -78,7 +78,7 @@ class FleetSummary:
 
 
 def require_extra() -> None:
-    """Check that the extra is installed, before hours of work; or InputError."""
+    """InputError, before hours of work, if the extra is not installed."""
     with optional_imports():
         import jinja2  # noqa: F401
         import pyarrow.parquet  # noqa: F401

@@ -66,4 +66,4 @@ def load_checkpoint(path: Path, settings: str) -> dict[str, torch.Tensor] | None
     except Exception as error:
         # A wrong header makes zipfile, zlib, ast and numpy fail with any kind of error.
         reason = f"{one_line(error)}; delete it to train anew"
-        raise InputError(f"{path}: the training kept here cannot be read: {reason}") from error
+        raise InputError(f"{path}: the saved training cannot be read: {reason}") from error

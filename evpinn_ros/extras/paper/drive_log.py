@@ -40,7 +40,7 @@ class DriveLog(NamedTuple):
 
 
 class ReadLog(NamedTuple):
-    """A log, and what was done in reading it."""
+    """A log as read."""
 
     drive: DriveLog  # its samples
     delay: float  # removed delay of speed behind power, s
@@ -48,10 +48,12 @@ class ReadLog(NamedTuple):
 
 
 def read_drive_log(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> ReadLog:
-    """Read a log; removes the delay of speed, and the readings that the estimator would drop.
+    """Read a log without the delay of speed and the readings that the estimator would drop.
 
-    A delay of 50 ms changes C_rr by several percent. InputError: unreadable, time goes back, or
-    fewer than `MIN_SAMPLES` samples.
+    A delay of 50 ms changes C_rr by several percent.
+
+    Raises:
+        InputError: the log is unreadable, its time goes back, or it has fewer than `MIN_SAMPLES`.
     """
     drive, dropped = _read(path, vehicle, options, 0.0)
     delay = speed_delay(drive, vehicle)
@@ -100,7 +102,7 @@ def _read(
     readings = []
     for item in (item for block in source.blocks() for item in guard.follow(block)):
         if isinstance(item, Jump):
-            raise InputError(f"{path}: time goes back within the log; cut it there")
+            raise InputError(f"{path}: time goes back within the log; split it there")
         for reading in item.readings():
             if isinstance(reading, SpeedReading):  # without its delay
                 reading = replace(reading, stamp_ns=reading.stamp_ns - earlier_ns)

@@ -109,7 +109,7 @@ class SavedPaper:
 
     def __post_init__(self) -> None:
         if not self.variance > 0.0 or np.linalg.eigvalsh(self.covariance)[0] < 0.0:
-            raise ValueError("the noise or the covariance is none")
+            raise ValueError("the noise is not positive, or the covariance not positive definite")
 
 
 class PaperLearner(Saveable[SavedPaper], Learner):
@@ -270,7 +270,7 @@ class PaperLearner(Saveable[SavedPaper], Learner):
         )
 
     def take(self, saved: SavedPaper) -> None:
-        """Go on from a saved state with a new memory of the optimizer."""
+        """Continue from a saved state, with a new optimizer."""
         network = deepcopy(self._trained.network)
         network.load_vector(torch.tensor(saved.network, dtype=torch.float32))
         log_scale = torch.tensor(saved.log_scale, dtype=torch.float32)

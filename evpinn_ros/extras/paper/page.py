@@ -1,4 +1,4 @@
-"""The report of an experiment: every table and figure in one HTML file."""
+"""The page of `evpinn reproduce`: every table and figure of an experiment."""
 
 from __future__ import annotations
 

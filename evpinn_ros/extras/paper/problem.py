@@ -60,7 +60,7 @@ def random_split(samples: int, seed: int) -> SampleSplit:
 
 
 def chronological_split(samples: int) -> SampleSplit:
-    """The honest split: training on the first four fifths, validation on the last."""
+    """Split in time: training on the first four fifths, validation on the last."""
     border = samples - round(samples * VALIDATION_SHARE)
     return SampleSplit(np.arange(border), np.arange(border, samples))
 

@@ -1,4 +1,4 @@
-"""`evpinn reproduce`: the paper's experiment on a recorded drive; loads torch when it runs."""
+"""`evpinn reproduce`: repeats the paper's experiment on a recorded drive."""
 
 from __future__ import annotations
 
@@ -28,13 +28,15 @@ def reproduce(
     optimizer: Annotated[
         OptimizerName | None,
         typer.Option(
-            help="Optimizer of the power network: adam; with --quick gauss_newton.",
+            help="Optimizer of the power network; if not given, adam, or gauss_newton (--quick).",
             show_default=False,
         ),
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option(min=1, help="Epochs of the power network; 10000 for adam, fewer for others."),
+        typer.Option(
+            min=1, help="Epochs of the power network; if not given, 10000 for adam, else fewer."
+        ),
     ] = None,
     regen_form: Annotated[RegenForm, typer.Option(help="Form of eq. 21.")] = RegenForm.RECOVERY,
     seed: Annotated[int, typer.Option(min=0, help="Seed of split, networks and batches.")] = 0,
@@ -43,7 +45,7 @@ def reproduce(
         bool,
         typer.Option(
             "--quick",
-            help="Take a first look, by a training that is faster than that of the paper.",
+            help="A first look, with a faster training than the paper's.",
         ),
     ] = False,
     out: Annotated[
@@ -56,8 +58,8 @@ def reproduce(
 
     Shows the tables II, IV, V and VI and the figures 5, 8 and 9 (for a Model S table III and
     figures 6, 8 and 10) beside the numbers of the paper. Adds what the paper leaves out: a
-    baseline, a chronological split, its published parameters on this drive, and least squares. It
-    takes half an hour of one processor, with --quick up to five minutes. If you stop it, the same
+    baseline, a chronological split, the published parameters on this drive, and least squares. It
+    takes half an hour on one core, with --quick up to five minutes. If you stop it, the same
     command continues.
 
     Example: evpinn reproduce drive.csv --vehicle tesla_model_3_lr --quick

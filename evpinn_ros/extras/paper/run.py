@@ -152,7 +152,11 @@ def run_reproduction(
     *,
     quick: bool,
 ) -> None:
-    """Train, print, and write report, results, state and vehicle file; or InputError."""
+    """Train, print, and write report, results, state and vehicle file.
+
+    Raises:
+        InputError: the log, the vehicle or the device is wrong, or a file cannot be written.
+    """
     if settings.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda: torch finds no CUDA device here")
     # One thread: small matrices gain nothing from two, and runs repeat bit by bit.
@@ -183,7 +187,7 @@ def _what_was_read(read: ReadLog) -> str:
     dropped = ", ".join(f"{count} {reason}" for reason, count in read.dropped.items())
     return (
         f"{len(read.drive.time)} samples, {read.drive.time[-1]:.0f} s; speed "
-        f"{1000 * read.delay:.0f} ms behind power, taken out; dropped: {dropped or 'nothing'}"
+        f"{1000 * read.delay:.0f} ms behind power, corrected; dropped: {dropped or 'nothing'}"
     )
 
 

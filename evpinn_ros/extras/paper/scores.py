@@ -1,4 +1,4 @@
-"""Scores of predicted power, and the baselines that the paper leaves out."""
+"""Scores of predicted power, and baselines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of the paper's experiment, separate from training, so that help needs no torch."""
+"""Settings of the paper's experiment, without torch, so that --help is fast."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def test_a_drive_of_two_names_has_one_car(data):
     (data / "cars.csv").write_text(text.format("bob"))
     assert names_of(cars_by_manifest(data / "cars.csv"), data) == {"bob": ALL["bob"]}
     (data / "cars.csv").write_text(text.format("ann"))
-    with pytest.raises(InputError, match="is of car 'bob' already"):
+    with pytest.raises(InputError, match="already belongs to 'bob'"):
         cars_by_manifest(data / "cars.csv")
 
 
