@@ -1,8 +1,8 @@
-"""Breakdowns of energy compared with the ledger of simulated cars.
+"""Compares breakdowns of energy with the true energies of simulated cars.
 
 Readings go through the stream and the learning of the car (`benchmarks.truth.CarChain`). Each part
-of the breakdown, with its 1-sigma, is compared with the energy that this part truly took over the
-very intervals that were learned from.
+of the breakdown, with its 1-sigma, is compared with the true energy of this part over the learned
+intervals.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import EPOCH_NS, simulate
 from evpinn_ros.replays.simulation.truth import prior_parameters
 
-CLIMB = Part.SLOPE, Part.BRAKES, Part.DRIVETRAIN  # that a climb looks like, without heights
+CLIMB = Part.SLOPE, Part.BRAKES, Part.DRIVETRAIN  # parts that a climb without heights changes
 
 
 @dataclass(frozen=True, slots=True)
 class PartCheck:
-    """One part, or the name of several together, of one drive: kWh, 1-sigma, the truth, share."""
+    """One part of the breakdown of a drive, or several joined, and its truth."""
 
     vehicle: str
     kind: str
@@ -50,15 +50,15 @@ class PartCheck:
         return self.within(INTERVAL)
 
     def within(self, sigmas: float) -> bool:
-        """True if the truth lies within so many sigmas."""
+        """Whether the truth lies within `sigmas`."""
         return abs(self.kwh - self.true_kwh) <= sigmas * self.sigma_kwh
 
 
 class SpanChain(CarChain):
-    """A chain that notes the intervals learned from, as s since the start of the simulation."""
+    """A chain that records begin and end of the learned intervals, s since `EPOCH_NS`."""
 
     def __init__(self, vehicle: Vehicle, car: LearnedCar | None = None) -> None:
-        """Start at the priors of a vehicle file, or go on with a car that began another drive."""
+        """Start from the priors of a vehicle file, or from a car that began another drive."""
         super().__init__(vehicle)
         self.car = car or self.car
         self.spans: list[tuple[float, float]] = []
@@ -90,7 +90,7 @@ def part_checks(
     seconds: float = 900.0,
     **options: Any,
 ) -> Iterator[PartCheck]:
-    """Drive one car per seed and hold each part of its breakdown against the truth.
+    """Drive one car per seed and compare each part of its breakdown with the truth.
 
     `options` are those of `simulated_drives`.
     """
@@ -173,9 +173,9 @@ def difference_checks(
 
 @dataclass(frozen=True, slots=True)
 class PartSummary:
-    """One part over many drives; percent are of the energy of a drive, but for the coverage.
+    """One part over many drives; percent are of a drive's energy, except for the coverage.
 
-    `deviation` is the root mean square of the errors in sigmas: 1 where sigmas are right.
+    `deviation` is the root mean square of the errors in sigmas: 1 if sigmas are right.
     """
 
     name: str
@@ -190,7 +190,7 @@ class PartSummary:
 
 
 def part_summaries(checks: Iterable[PartCheck]) -> list[PartSummary]:
-    """Coverage and errors of each part, groups that data do not separate last."""
+    """Coverage and errors of each part; joined parts are last."""
     parts: dict[str, list[PartCheck]] = {}
     for check in checks:
         parts.setdefault(check.name, []).append(check)
@@ -218,8 +218,8 @@ def _summary(name: str, group: list[PartCheck]) -> PartSummary:
 def part_powers(car: Car, trace: Trace) -> Mapping[str, np.ndarray]:
     """Power of each part, W, shape (n,): they add up to `trace.power`.
 
-    No load of a simulated car is known as heating or cooling: all of it is standing load.
-    Beside the sum stands `regained`, what braking brought back to the battery.
+    No load of a simulated car is heating or cooling: all of it is standing load. `regained`, the
+    energy that braking returned to the battery, is not part of the sum.
     """
     motion = trace.motion
     driving = trace.wheel_power > 0.0

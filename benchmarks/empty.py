@@ -1,12 +1,11 @@
-"""Distance to empty over driven roads: how far would the energy of the next kilometres have led?
+"""Scores the distance to empty on driven roads.
 
-All drives of a car are one road, in pieces of a kilometre. After each, the energy that the next
-10, 20 and 40 km took is what is left in the battery; the answer is compared with the road driven.
-Beside it stand that energy over what the last 10 km cost, and over what the last 100 km cost; and
-the answer along a route: what is left of this drive as a plan of points each 500 m, which begins
-at the car's speed, as planners send it, with the mean speeds between them, at its mean
-temperature, with loads unknown. It is judged where the road ends within the drive, for no plan
-knows that the car stands overnight and is heated again.
+All drives of a car are one road, in pieces of a kilometre. After each piece, the battery is
+assumed to hold the energy that the next 10, 20 or 40 km took, and the distance to empty is
+compared with that distance. The baselines divide that energy by the consumption of the last 10 and
+100 km. The distance to empty along a route uses the rest of the drive as a plan, as planners send
+it: points every 500 m with mean speeds between them, from the car's speed, at the mean
+temperature, with loads unknown. It is scored only within a drive: no plan knows of a night's stop.
 """
 
 from __future__ import annotations
@@ -44,15 +43,15 @@ LAST_10, LAST_100 = 1, 2  # windows of a `TripLog`
 
 
 class Kilometre(NamedTuple):
-    """A kilometre of a drive, and what was known at its end; the cost None before 10 km."""
+    """A kilometre of a drive, and what was known at its end."""
 
     drive: int
     driven: Stretch
     intervals: tuple[Interval, ...]
     model: CarModel
-    cost: Cost | None
-    recent: float
-    long: float
+    cost: Cost | None  # None before 10 km
+    recent: float  # J/m of the last 10 km
+    long: float  # J/m of the last 100 km
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +86,7 @@ EMPTY_COLUMNS = (
 
 
 def empty_scores(data: str, key: str, seed: int = 0) -> list[EmptyScore]:
-    """Every kilometre of a car's drives, as if its battery lasted for the next ones."""
+    """Score the distance to empty after every kilometre of a car's drives."""
     pieces = list(_pieces(load_car(data, key), seed))
     ahead = [_along_route(pieces, index) for index in range(len(pieces))]
     scores = []
@@ -153,7 +152,7 @@ def _piece(
 
 
 def _along_route(pieces: list[Kilometre], index: int) -> RouteAhead | None:
-    """The rest of the drive after a piece as a route; None at its end and before a cost."""
+    """The rest of the drive after a piece as a route; None at its end, and without a cost."""
     here, after = pieces[index], pieces[index + 1 :]
     done = [
         interval for piece in after if piece.drive == here.drive for interval in piece.intervals
@@ -174,9 +173,11 @@ def _along_route(pieces: list[Kilometre], index: int) -> RouteAhead | None:
 def _errors(
     pieces: list[Kilometre], ahead: list[RouteAhead | None], horizon: float
 ) -> Iterator[tuple[float, float, float, bool, float, bool]]:
-    """Relative errors after each piece: ours, by the last 10 km, by 100; is it in our band?
+    """Yields, after each piece, relative errors of the distance and whether bands cover it.
 
-    Then the error along the route, NaN where the road ends in another drive; is it in that band?
+    The errors are ours, by the last 10 km and by the last 100 km; then whether our band covers
+    the distance; the error along the route, NaN if the road ends in another drive; and whether
+    the route's band covers it.
     """
     distances = np.cumsum([piece.driven.distance for piece in pieces])
     energies = np.cumsum([piece.driven.energy for piece in pieces])

@@ -1,10 +1,9 @@
-"""Breakdowns of recorded drives: without their heights, or learned alone, against more.
+"""Compares breakdowns of recorded drives without heights, or learned alone, with better ones.
 
-A recorded drive is learned from twice: as it is, and with its heights taken out. Every part of the
-second breakdown has an interval, and the part that was found with height should lie in it. Each
-drive begins at the vehicle file, as a stranger's only log does; the difference of two drives in a
-row (`evpinn compare`) is checked in the same way. Or it is learned alone, and then with all drives
-of its car, from which every part is known better.
+A recorded drive is learned twice: as it is, and without its heights. The part with heights should
+lie in the interval of the part without. Each drive starts from the vehicle file, like the only log
+of an unknown car; the difference of two successive drives (`evpinn compare`) is checked likewise.
+Or a drive is learned alone, and compared with a breakdown learned from all drives of its car.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.vehicle.files import Vehicle
 
 CARS = ("i3", "leaf2013", "changchun")  # of `benchmarks.unseen.drives` those with heights
-LEAST_DISTANCE = 2000.0  # m; of less no part is worth knowing
-HEIGHT_KNOWN = 0.9  # of the way, of a drive that counts
+LEAST_DISTANCE = 2000.0  # m; shorter drives are left out
+HEIGHT_KNOWN = 0.9  # share of the distance; drives with less are left out
 
 
 def height_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartCheck]:
-    """Each part of drives of each car without heights, and of the differences of two in a row."""
+    """Parts of each car's drives without heights, and of differences of successive drives."""
     for key in cars:
         car = load_car(data, key)
         all_intervals = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
@@ -41,7 +40,7 @@ def height_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartC
 
 
 def alone_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartCheck]:
-    """Each part of drives of each car, learned alone, against all of its drives."""
+    """Parts of each car's drives learned alone, against those learned from all its drives."""
     for key in cars:
         car = load_car(data, key)
         all_intervals = [list(drive.intervals(car.vehicle)) for drive in car.drives[:drives]]
@@ -57,7 +56,7 @@ def alone_checks(data: str, cars: Sequence[str], drives: int) -> Iterator[PartCh
 
 
 def has_height(intervals: Sequence[Interval]) -> bool:
-    """True if a drive is long enough, and its height known nearly all the way."""
+    """Whether a drive is long enough, and its height known for nearly all of it."""
     way = _way(intervals)
     known = np.array([interval.height_known for interval in intervals])
     return bool(way.sum() > LEAST_DISTANCE and way[known].sum() > HEIGHT_KNOWN * way.sum())
@@ -68,13 +67,13 @@ def _way(intervals: Sequence[Interval]) -> np.ndarray:
 
 
 def without_height(interval: Interval) -> Interval:
-    """Interval as of a log that has no heights."""
+    """The interval as in a log without heights."""
     flat = interval.steps._replace(climb=np.zeros_like(interval.steps.climb))
     return replace(interval, steps=flat, height_known=False)
 
 
 def learned(vehicle: Vehicle, drives: Sequence[Sequence[Interval]]) -> Breakdowns:
-    """Breakdowns of drives that one car learned from, to be compared."""
+    """Breakdowns of drives by one car model that learned from all of them."""
     car = LearnedCar.new(equation_of(vehicle))
     for number, intervals in enumerate(drives):
         car = car.begin_drive(compare=True) if number else car

@@ -1,7 +1,7 @@
-"""Delays and memory of the nodes in a driving car: their executables and the car, a process each.
+"""Delays and memory of the nodes in a driving car; each node and the car are processes.
 
-The car publishes messages and receives bytes, for what it does with an answer is no part of the
-delay. The floor is a node of a few lines that answers each message at once.
+The car publishes messages and receives bytes, because unpacking an answer is no part of the delay.
+The floor is a node of a few lines that answers each message at once.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ from evpinn_ros.topics.messages import named_vector, stamp_ns
 from evpinn_ros.topics.readings import battery_message, speed_message
 
 ANSWERS = (topics.POWER_PREDICTED, topics.POWER_MEASURED, topics.ENERGY_STATE)
-SETTLE = 3.0  # s of driving that are not counted, after each answer was heard
+SETTLE = 3.0  # s of driving that are not counted, once every topic was heard
 WARM_UP_RATE = 10.0  # Hz
 BUS_RATE = 100.0  # Hz of both frames while memory is measured
 CAN_PROFILE, GROUP = "tesla_model_3", "239.74.163.6"
 
 
 class Delay(NamedTuple):
-    """Delay from publishing a message to hearing its answer, ms, and messages without one."""
+    """Delay from publishing a message to receiving its answer."""
 
     p50_ms: float
     p99_ms: float
-    unanswered: int
+    unanswered: int  # messages without an answer
 
 
 def measure_topics(
     rate: float, seconds: int, progress: Callable[[float], None], *, floor: bool = False
 ) -> dict[str, Delay]:
-    """Drive with so many speeds and battery messages a second, Hz; delays by topic.
+    """Drive with speeds and battery messages at `rate`, Hz; returns delays by topic.
 
-    The stamp of `energy/state` is that of the newest energy in it. `floor`: of the node that only
-    answers.
+    The stamp of `energy/state` is that of the newest energy in it. `floor`: measure the node that
+    answers at once.
 
     Raises:
         InputError: the nodes did not come up.
@@ -80,9 +80,9 @@ def measure_calls(
     *,
     floor: bool = False,
 ) -> Delay:
-    """Call the typed service with one plan, again and again.
+    """Call the typed service with one plan `calls` times, while the car drives.
 
-    The car drives meanwhile, with messages at this rate, Hz; 0: it sends none.
+    `rate`, Hz, is that of the car's messages; 0: it sends none.
 
     Raises:
         InputError: the nodes did not come up, or left a call without an answer.
@@ -102,9 +102,9 @@ def measure_memory(seconds: float) -> dict[str, float]:
     """Resident memory of each of the three nodes after a drive over a CAN bus, MB.
 
     Raises:
-        InputError: no multicast for the bus, or no Linux.
+        InputError: multicast for the bus or /proc is missing.
     """
-    # Here, for the other measurements need no bus.
+    # Imported here, because the other measurements need no bus.
     import can
 
     from evpinn_ros.can.encoder import Encoder
@@ -193,7 +193,7 @@ def _driving(nodes: Any) -> Iterator[_Car]:
 
 
 class _Car:
-    """The far end: publishes what a car measures, hears the answers, asks for plans.
+    """Publishes what a car measures, receives the answers, and asks for plans.
 
     Attributes:
         sent: stamps of its messages, ns.
@@ -218,12 +218,12 @@ class _Car:
         arrivals.setdefault(sec * NANOSECONDS + nanosec, time.time_ns())
 
     def drive_at(self, rate: float) -> None:
-        """Publish speed and battery at this rate, Hz, from now on; 0: no more."""
+        """Publish speed and battery at this rate, Hz, from now on; 0 stops."""
         self._step = 1.0 / rate if rate else math.inf
         self._due = time.monotonic() + self._step
 
     def spin(self, seconds: float, done: Callable[[], object] = bool) -> bool:
-        """Publish what is due and take what comes, for a time or until something is so."""
+        """Publish what is due and receive, for a time or until `done`; returns whether done."""
         end = time.monotonic() + seconds
         while not done():
             now = time.monotonic()
@@ -243,7 +243,7 @@ class _Car:
         self._battery.publish(battery_message(new_message, battery))
 
     def warm_up(self) -> None:
-        """Drive until each answer was heard, and a while longer."""
+        """Drive until every topic was heard, and `SETTLE` longer."""
         self.drive_at(WARM_UP_RATE)
         if not self.spin(START_TIMEOUT, lambda: all(self.heard.values())):
             raise InputError(f"the nodes did not come up within {START_TIMEOUT:g} s")

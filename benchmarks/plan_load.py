@@ -1,6 +1,6 @@
-"""Delay of the node `energy` in answering a plan: its executable and a planner, a process each.
+"""Delay of the node `energy` in answering a plan; node and planner are processes.
 
-The planner publishes and receives bytes, for what it does with a message is no part of the answer.
+The planner publishes and receives bytes, because unpacking is no part of the delay.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from evpinn_ros.topics.plans import DISTANCE_JOINT, ELEVATION_JOINT
 
 VEHICLE = "tesla_model_3_lr"
 WARM_UP = 20  # plans that are not counted: the first load code and learn addresses
-SETTLE = 2.0  # s until both ends surely know of each other
+SETTLE = 2.0  # s for both ends to discover each other
 ANSWER_TIMEOUT = 10.0  # s
 PAUSE = 0.02  # s between plans
 
@@ -147,7 +147,7 @@ def _planning() -> Iterator[tuple[_Planner, int]]:
 
 
 class _Planner:
-    """The far end: publishes plans, receives answers."""
+    """Publishes plans and receives answers."""
 
     def __init__(self) -> None:
         self._node = rclpy.create_node("planner", namespace=NAMESPACE)
@@ -169,7 +169,7 @@ class _Planner:
         self._spin_until(lambda: time.monotonic() > end, START_TIMEOUT)
 
     def ask(self, plan: Any) -> float:
-        """Publish a plan; gives the seconds until its answer was received."""
+        """Publish a plan; returns the seconds until its answer was received."""
         wanted, data = plan.header.frame_id, bytes(serialize_message(plan))
         begin = time.perf_counter()
         self._plans.publish(data)
@@ -177,7 +177,7 @@ class _Planner:
         return time.perf_counter() - begin
 
     def ask_together(self, plans: Sequence[Any]) -> float:
-        """Publish plans; gives the seconds until the status of the last was received."""
+        """Publish plans; returns the seconds until every status was received."""
         frames = [plan.header.frame_id for plan in plans]
         data = [bytes(serialize_message(plan)) for plan in plans]
         self._statuses.clear()

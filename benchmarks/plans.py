@@ -1,11 +1,11 @@
-"""Plans as planners have them, made of driven trips: what they were forecast to take, and took.
+"""Scores forecasts of plans that are made of driven trips.
 
-Each drive of a car becomes plans of several resolutions with exact mean speeds, times and climbs;
-each is forecast from what the drives before it taught, at the mean temperature of the drive and
-with its loads unknown; where the car reports its heating and cooling, once more with the mean of
-these given. Beside it stand the vehicle file alone (a new car of our own model), the energy per
-kilometre of the drives before, the same by mean speed, and our forecast that knows nothing of what
-lies between two points. Drives of one class of mean speed are scored by themselves too.
+Each drive of a car becomes plans of several resolutions with exact mean speeds, times and climbs.
+Each plan is forecast from what the drives before it taught, at the mean temperature of the drive
+and with its loads unknown; if the car reports heating and cooling, again with their mean given.
+The baselines are the vehicle file alone, the energy per kilometre of the drives before, the same
+by mean speed, and a forecast with even speed between two points. Drives are also scored by class
+of mean speed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ CLASSES = {
     "30-50": (30.0, 50.0),
     "50-70": (50.0, 70.0),
     "> 70": (70.0, math.inf),
-}  # km/h that the mean speed of a drive is between
+}  # limits of a drive's mean speed, km/h
 LEAST_DISTANCE = 1000.0  # m of a drive that is a plan
 SPEED_CLASS = 5.0  # m/s, of consumption by mean speed
 
@@ -90,7 +90,7 @@ PLAN_COLUMNS = (
 
 
 def plan_scores(data: str, key: str, seed: int = 0) -> list[PlanScore]:
-    """Every drive of a car as plans, from what the drives before it taught."""
+    """Score every drive of a car as plans, forecast from what the drives before it taught."""
     car = load_car(data, key)
     rows = list(_planned(car, seed))
     scores = []
@@ -169,7 +169,7 @@ def forecasts(
 
 
 def weather_of(done: list[Interval], *, loads: bool = False) -> Weather:
-    """Means of a drive: of its temperature and, where asked for and reported, of its loads."""
+    """Mean temperature of a drive and, with `loads`, mean of its reported loads."""
     known = [interval for interval in done if interval.conditions.celsius is not None]
     celsius = _mean(known, "celsius") if known else None
     reported = loads and any(interval.conditions.load > 0.0 for interval in done)

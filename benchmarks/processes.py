@@ -1,4 +1,4 @@
-"""Processor time and memory of processes, as Linux counts them."""
+"""Processor time and memory of processes, from /proc."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from evpinn_ros.common.errors import InputError
 
 
 def processor_seconds(pid: int) -> float:
-    """Time of the processor that a process has taken.
+    """Processor time of a process.
 
     Raises:
-        InputError: no such process any more, or no Linux.
+        InputError: the process has ended, or there is no /proc.
     """
     # The name of the program, in brackets, may hold blanks.
     fields = _proc_text(pid, "stat").rpartition(")")[2].split()
@@ -21,10 +21,10 @@ def processor_seconds(pid: int) -> float:
 
 
 def resident_mb(process: int | str) -> float:
-    """Memory of a process that is in use, MB.
+    """Resident memory of a process, MB.
 
     Raises:
-        InputError: no such process any more, or no Linux.
+        InputError: the process has ended, or there is no /proc.
     """
     lines = _proc_text(process, "status").splitlines()
     (line,) = (line for line in lines if line.startswith("VmRSS"))
@@ -35,4 +35,4 @@ def _proc_text(process: int | str, file: str) -> str:
     try:
         return Path(f"/proc/{process}/{file}").read_text()
     except OSError as error:
-        raise InputError(f"the process ended, or this is no Linux: {error}") from error
+        raise InputError(f"the process has ended, or there is no /proc: {error}") from error

@@ -1,9 +1,9 @@
 """A map of losses that cars share, as prior of the network: an experiment, not the default.
 
-k tanh networks of speed and wheel force are learned over all recorded cars but one, by the
-likelihood of their energies with all else that the core knows of a car marginalised. In the car
-left out they take the place of the weakest k directions of the core's network, with the mean and
-1-sigma of the other cars. Each of its drives is scored as that of a new car, on intervals.
+k tanh networks of speed and wheel force are learned from all recorded cars but one, by the
+likelihood of their energies, with the core's other states of a car marginalised. In the car left
+out they replace the weakest k directions of the core's network, with the mean and 1-sigma of the
+other cars. Each of its drives is scored as that of a new car, on intervals.
 
 Run: OMP_NUM_THREADS=1 python -m benchmarks.shared_map DATA
 """
@@ -94,7 +94,7 @@ class SharedMap(torch.nn.Module):
 
 
 def whitened(recorded: RecordedCar, orthogonal: bool) -> Energies:
-    """Energies of a car's drives, each by itself as that of a new car."""
+    """Whitened energies of a car's drives, each as the first drive of a new car."""
     equation, drives, whole = terms.Equation(recorded.vehicle), some(recorded, LEARNED), []
     car = LearnedCar.new(equation)
     for drive in drives:

@@ -1,8 +1,8 @@
-"""Errors of the published parameters: simulated cars, whose truth is known.
+"""Errors of the published parameters on simulated cars, whose truth is known.
 
 Readings of a simulated drive go through the stream and the learning of the car, as in the
-estimator of `mode: hybrid`; its network and its power do not touch the parameters and are left
-out, which makes an hour of driving a matter of seconds.
+estimator of `mode: hybrid`, without its network and power, which do not change the parameters: an
+hour of driving takes seconds.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from evpinn_ros.replays.simulation.drive import SAMPLE_RATE, DriveKind, Interval
 from evpinn_ros.replays.simulation.simulate import RMS_GRADE, SimulatedDrive, simulate
 from evpinn_ros.replays.simulation.truth import Truth, prior_parameters, true_values
 
-PROFILE = "tesla_model_3"  # of the bus, whatever the car: all that is on it is what is needed
+PROFILE = "tesla_model_3"  # of the bus of every car: it has speed, battery and motor torque
 VEHICLES = ("tesla_model_3_lr", "nissan_leaf", "bmw_i3")
-MARKS = (60, 120, 300, 600)  # s of the drive at which estimates are held against truth
+MARKS = (60, 120, 300, 600)  # s of the drive at which estimates are compared with the truth
 INTERVAL = 1.96  # sigmas to either side that cover 95 %
 
 
 class CarChain:
-    """Readings to the learned car, without networks and predictions.
+    """Learns a car from readings, without networks and predictions.
 
     Attributes:
         car: what is learned.
@@ -120,7 +120,7 @@ class TruthCheck:
         """
         if self.name in ("p_aux", "c_rr"):
             return abs(self.value - self.truth) <= INTERVAL * self.std
-        if self.truth <= 0.0:  # less came back than the losses took: no logarithm tells that
+        if self.truth <= 0.0:  # less came back than the losses took; it has no logarithm
             return False
         return abs(math.log(self.value / self.truth)) <= INTERVAL * self.std / self.value
 
@@ -150,9 +150,9 @@ def compare(
     rms_grade: float = RMS_GRADE,
     altitude: bool = False,
 ) -> Iterator[TruthCheck]:
-    """Drive one car per seed and hold what is published against the truth so far.
+    """Drive one car per seed and compare the published parameters with the truth so far.
 
-    Marks are s into the drive; `altitude` gives the cars a barometer.
+    `marks` are s into the drive; `altitude` gives the cars a barometer.
     """
     road: dict[str, Any] = {"altitude": altitude, "rms_grade": rms_grade}
     drives = simulated_drives([kind], vehicles, seeds, max(marks), from_priors=from_priors, **road)

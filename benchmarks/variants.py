@@ -1,4 +1,4 @@
-"""The core with some of its constants replaced, and what it says without the battery.
+"""Scores variants of the core, with some of its constants replaced, while the battery is hidden.
 
 Drives of a car become intervals once. A variant of the core then predicts every drive from what
 the ones before taught, and 200 s stretches within the drives, battery hidden. Both are scored by
@@ -29,7 +29,7 @@ from evpinn_ros.core.estimation.terms import Equation
 from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.vehicle.files import Vehicle
 
-STRETCH, STEP, FIRST = 195.0, 200.0, 250.0  # s: hidden, between two, before the first
+STRETCH, STEP, FIRST = 195.0, 200.0, 250.0  # s: a hidden stretch, between two, before the first
 SEEDS = (0, 1, 2)  # of the network, over which scores are averaged
 
 
@@ -44,7 +44,7 @@ class ConstantPlace(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As tables have it."""
+        """Name of the constant in tables."""
         return f"{self.owner.name}.{self.key}" if isinstance(self.owner, State) else self.key
 
     @property
@@ -86,8 +86,7 @@ class VariantRow:
     """One variant on one car, means over seeds: CRPS in percent of gross energy.
 
     `stretch_rmse` is of power over intervals, W. `by_drive` is the likelihood of each drive,
-    carried and of its stretches: what is left of a difference of variants once they are compared
-    drive by drive tells how sure it is.
+    carried and of its stretches, from which `gain` computes the standard error of a difference.
     """
 
     variant: str
@@ -136,7 +135,7 @@ def read_car(data: str, key: str) -> RecordedCar:
 
 @contextmanager
 def replaced(changes: Mapping[ConstantPlace, Any]) -> Iterator[None]:
-    """The core with other constants, in this process, as long as the context lasts."""
+    """Replace constants of the core in this process within a block."""
     before = {place: place.present for place in changes}
     _replace(changes)
     try:

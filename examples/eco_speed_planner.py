@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Asks what several ways to drive a hilly route cost, and picks the cheapest that is in time.
+"""Asks for the energy of several ways to drive a hilly route, and picks the cheapest in time.
 
-An example to copy: it knows the node `energy` by its topics alone and imports nothing of it.
+An example to copy: it uses only the topics of the node `energy`, and imports nothing of it.
 
     ros2 launch evpinn_ros eco_speed_planner.launch.py vehicle:=bmw_i3 deadline:=720.0
 
 Once a period it publishes every candidate on `plan/speed_profile`, collects the answers from
 `energy/forecast`, `energy/forecast/battery` and `energy/forecast/status`, prints a table, and
-publishes the best candidate, latched, on `~/chosen`. An answer is known by its header, which is
-the question's. Questions of one stamp, whose frames are `asker/...`, are compared: the status of
-each tells what it takes more than the others, with the 1-sigma of that, which is far less than
-that of either. So of what cannot be told from the cheapest, it picks what arrives first.
+publishes the best candidate, latched, on `~/chosen`. An answer has the header of its question.
+Questions with one stamp, whose frames are `asker/...`, are compared: the status of each has its
+differences from the others, whose 1-sigma is far less than that of either energy. Among the
+candidates that are not distinguishable from the cheapest, it picks the first to arrive.
 """
 
 import csv
@@ -39,7 +39,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 GRAVITY = 9.81  # m/s^2
 ACCELERATION = 1.0  # m/s^2, from the stop at the start and to the one at the end
 SPACING = 50.0  # m between the points of a profile
-LENT_TO_HILLS = 0.3  # share of each climb that speed pays, and gets back on the way down
+LENT_TO_HILLS = 0.3  # share of potential energy that is taken from speed, and returned downhill
 WH = 3600.0  # J
 
 PARAMETERS = (
@@ -71,12 +71,12 @@ class Candidate:
 
 @dataclass
 class Answer:
-    """Energy of a candidate: J with 1-sigma, and the battery at its end, 0..1; NaN: unknown.
+    """Energy of a candidate, J, with 1-sigma, and the battery at its end, 0..1; NaN if unknown.
 
     Attributes:
-        status: of the answer, by key; None until it has come.
+        status: values of the status by key; None until it is received.
         refusal: why there is no energy; empty if there is.
-        more: what it takes more than other candidates, by their index: J with 1-sigma.
+        more: energy beyond that of other candidates, by their index: J with 1-sigma.
     """
 
     energy: float = math.nan
@@ -88,7 +88,7 @@ class Answer:
 
     @property
     def complete(self) -> bool:
-        """True if nothing more can come."""
+        """Whether all parts of the answer were received."""
         if self.status is None or self.refusal:
             return bool(self.refusal)
         battery = math.isnan(self.battery) and "battery" in self.status
@@ -96,7 +96,7 @@ class Answer:
 
 
 def hills() -> tuple[np.ndarray, np.ndarray]:
-    """Distance and elevation, m, of a route nobody has to bring a file for."""
+    """Distance and elevation, m, of the default route."""
     s = np.linspace(0.0, 12_000.0, 241)
     z = 100.0 - 30.0 * np.cos(s * math.tau / 4000.0) + 6.0 * np.sin(s * math.tau / 1300.0)
     return s, z
@@ -106,7 +106,7 @@ def read_route(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Distance and elevation, m, from a CSV file with the columns distance_m and elevation_m.
 
     Raises:
-        ValueError: it is no route; the text says why in one line.
+        ValueError: the file is not a route.
     """
     try:
         with path.open(newline="") as file:
@@ -128,8 +128,8 @@ def speed_profile(
 ) -> Candidate:
     """A drive from stop to stop at a cruising speed, some of which is lent to the hills.
 
-    With `lent` = 0 speed is steady. Else part of the potential energy comes out of speed and goes
-    back there, not through the motor and the battery, each of which would take its share.
+    With `lent` = 0 speed is steady. Otherwise this share of the potential energy is exchanged with
+    speed, without the losses of motor and battery.
     """
     squared = cruise**2 - 2 * GRAVITY * lent * (z - z.mean())
     squared = np.clip(squared, (cruise / 2) ** 2, fastest**2)
@@ -167,9 +167,9 @@ def difference(answers: list[Answer], first: int, other: int) -> tuple[float, fl
 def cheapest_in_time(
     candidates: list[Candidate], answers: list[Answer], deadline: float
 ) -> int | None:
-    """The pick among those in time; the slowest without any answer, None when all are late.
+    """Index of the first to arrive among the cheapest and those within 1-sigma of it.
 
-    The first to arrive of the cheapest and all that cost more by less than 1-sigma.
+    Only candidates in time count; the slowest of them without any answer; None if all are late.
     """
     in_time = [i for i, candidate in enumerate(candidates) if candidate.arrival <= deadline]
     answered = [i for i in in_time if not math.isnan(answers[i].energy)]
@@ -184,7 +184,7 @@ def cheapest_in_time(
 def table(
     candidates: list[Candidate], answers: list[Answer], deadline: float, pick: int | None
 ) -> str:
-    """The candidates for people: minutes and Wh."""
+    """A table of the candidates, in minutes and Wh."""
     head = f"{'candidate':24} {'arrival':>8} {'energy':>9} {'sigma':>8} {'more':>16}"
     lines = [f"{head} {'battery':>8}"]
     for index, (candidate, answer) in enumerate(zip(candidates, answers, strict=True)):
@@ -209,14 +209,14 @@ def _number(value: float, form: str, unit: str, unknown: str) -> str:
 
 
 def profile_message(candidate: Candidate, header: Header) -> JointTrajectory:
-    """A candidate as the node `energy` reads it; the road is in the joint `elevation`."""
+    """The message for the node `energy`; heights are in the joint `elevation`."""
     points = []
     for time, distance, speed, elevation in zip(
         candidate.time, candidate.distance, candidate.speed, candidate.elevation, strict=True
     ):
         nanoseconds = round(time * 1e9)
         start = Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
-        # Both joints need as many numbers; the velocity of elevation is not read.
+        # Every joint needs a velocity; that of elevation is not read.
         point = JointTrajectoryPoint(
             positions=[distance, elevation], velocities=[speed, 0.0], time_from_start=start
         )
@@ -233,11 +233,11 @@ class EcoSpeedPlanner(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        """Begin one period from now; `kwargs` go to rclpy's Node.
+        """Ask first after one period; `kwargs` go to rclpy's Node.
 
         Raises:
             ValueError: the route or the speeds are wrong.
-            ParameterException: so is another parameter.
+            ParameterException: another parameter is wrong.
         """
         super().__init__("eco_speed_planner", **kwargs)
         for name, default, description, ends in PARAMETERS:
@@ -251,7 +251,7 @@ class EcoSpeedPlanner(Node):
         self.answers = [Answer() for _ in self.candidates]
         self._open: dict[tuple[str, int, int], int] = {}  # candidates by header
 
-        # A round is asked at once: neither questions nor answers may push each other out.
+        # A round is asked at once: the queues must hold all its questions and answers.
         depth = len(self.candidates)
         self._questions = self.create_publisher(JointTrajectory, "plan/speed_profile", depth)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -284,7 +284,7 @@ class EcoSpeedPlanner(Node):
     def _on_forecast(self, message: JointTrajectory) -> None:
         index = self._open.get(_key(message.header))
         if index is None or not message.points:
-            return  # the answer to somebody else, or one that comes too late
+            return  # the answer to another planner, or a late one
         end, answer = message.points[-1], self.answers[index]
         answer.energy = end.positions[0]
         answer.sigma = end.effort[0] if end.effort else math.nan
@@ -311,11 +311,11 @@ class EcoSpeedPlanner(Node):
         self._decide_early()
 
     def _frame(self, index: int) -> str:
-        # Other planners may ask as well: the node's full name tells ours from theirs.
+        # The node's full name distinguishes these questions from those of other planners.
         return f"{self.get_fully_qualified_name()}/{index}"
 
     def _decide_early(self) -> None:
-        """Do not wait for the timeout when nothing more can come."""
+        """Decide before the timeout if all answers are complete."""
         if all(answer.complete for answer in self.answers):
             self._decide()
 
@@ -329,7 +329,9 @@ class EcoSpeedPlanner(Node):
             self._say_why_no_answer()
         if pick is None:
             fastest = min(candidate.arrival for candidate in self.candidates)
-            self.get_logger().warning(f"nothing is in time: {deadline:g} s, at best {fastest:.0f}")
+            self.get_logger().warning(
+                f"none arrives in {deadline:g} s; the fastest: {fastest:.0f}"
+            )
             return
         if self.answers[pick].battery == 0.0:
             self.get_logger().warning("the battery will be empty before the end of this route")
@@ -363,8 +365,8 @@ def _descriptor(name: str, description: str, ends: Any) -> ParameterDescriptor:
 
 
 def main() -> int:
-    """Plan until told to stop; gives the exit code."""
-    # rclpy ends at SIGINT by itself; a KeyboardInterrupt beside that could strike anywhere.
+    """Plan until a signal; returns the exit code."""
+    # rclpy itself ends at SIGINT; without this, Python would also raise KeyboardInterrupt.
     signal.signal(signal.SIGINT, lambda *_: None)
     rclpy.init()
     try:

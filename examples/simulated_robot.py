@@ -4,10 +4,10 @@
     ros2 run evpinn_ros simulated_robot.py --ros-args -r __ns:=/ev
     python examples/simulated_robot.py --csv robot.csv --minutes 10     # needs no ROS
 
-It weighs 85 kg and drives up to 1.3 m/s, stops, turns on the spot and waits. Its motors lose by
-friction and by the square of their force, its computer draws what it draws, braking gives nothing
-back. The node publishes `odom` at 10 Hz and `battery/state` at 5 Hz, as Nav2 robots do; with a
-file it writes the same drive as a table. It imports nothing of evpinn_ros.
+It weighs 85 kg and drives up to 1.3 m/s, stops, turns on the spot and waits. Its motors have
+losses by friction and by the square of their force, its computer has a changing load, and braking
+returns no energy. The node publishes `odom` at 10 Hz and `battery/state` at 5 Hz, as Nav2 robots
+do; with --csv it writes the same drive as a table. It imports nothing of evpinn_ros.
 """
 
 import argparse
@@ -36,7 +36,7 @@ SPEED_NOISE, CURRENT_STEP, VOLTAGE_STEP = 0.008, 0.02, 0.01  # m/s, A, V
 
 @dataclass(frozen=True)
 class Moment:
-    """What the robot measures, the truth behind it, and whether the battery is measured now."""
+    """A step of the robot: what it measures, and the truth."""
 
     time: float  # s
     speed: float  # m/s
@@ -44,8 +44,8 @@ class Moment:
     current: float  # A drawn
     charge: float  # 0..1
     true_power: float  # W
-    true_load: float  # W of it that is not of driving: computer, planning, turning
-    battery_due: bool
+    true_load: float  # W of it for computer, planning and turning
+    battery_due: bool  # whether the battery is measured
 
 
 def speeds(rng: random.Random) -> Iterator[tuple[float, bool]]:
@@ -147,7 +147,7 @@ def run_node(seed: int, arguments: list[str]) -> None:
         rclpy.spin(Robot())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except RuntimeError:  # of rclpy, where the shutdown comes in the middle of its turn
+    except RuntimeError:  # from rclpy, if it was shut down within a call
         if rclpy.ok():
             raise
     finally:
@@ -159,7 +159,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--csv", type=Path, help="table to write, instead of publishing")
     parser.add_argument("--minutes", type=float, default=10.0, help="length of the table")
-    parser.add_argument("--seed", type=int, default=0, help="of chance")
+    parser.add_argument("--seed", type=int, default=0, help="seed of random numbers")
     given, others = parser.parse_known_args()
     if given.csv is not None:
         write_table(given.csv, given.minutes, given.seed)
@@ -171,5 +171,5 @@ def main() -> int:
 if __name__ == "__main__":
     exit_code = main()
     sys.stdout.flush()
-    # Without taking its publishers to pieces: Fast DDS may hang there for ever while others leave.
+    # Without destroying publishers: Fast DDS may hang there while others leave.
     os._exit(exit_code)

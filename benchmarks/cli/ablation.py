@@ -1,7 +1,6 @@
-"""`evpinn bench ablation`: what each part of the core is worth without the battery.
+"""`evpinn bench ablation`: scores the core without each of its parts, the battery hidden.
 
-What the unevenness of speed is worth for plans shows `evpinn bench plans`, which has even speed
-beside it.
+`evpinn bench plans` shows what the unevenness of speed is worth: it also scores even speed.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ def _fixed(growth: float) -> dict[ConstantPlace, Any]:
 
 
 def _one_noise(steps: Steps) -> np.ndarray:
-    """Noise of which standing and moving are one kind."""
+    """One noise for standing and moving."""
     return np.array((0.0, float(noise_of(steps).sum()), 0.0))
 
 
@@ -127,7 +126,7 @@ def ablation(
     jobs: output.JobsOption = 2,
     json_file: JsonOption = None,
 ) -> None:
-    """Leave out each part of the core in turn, and score drives.
+    """Score drives with each part of the core left out in turn.
 
     Example: evpinn bench ablation $DATA --cars i3,e208
     """

@@ -1,4 +1,4 @@
-"""`evpinn bench breakdown`: breakdowns of energy compared with the ledger of simulated cars."""
+"""`evpinn bench breakdown`: compares breakdowns with the true energies of simulated cars."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from evpinn_ros.common.blas_threads import limit_blas_threads
 from evpinn_ros.replays.simulation.drive import DriveKind
 from evpinn_ros.replays.simulation.simulate import RMS_GRADE
 
-WIDTH = 150  # characters; narrower ones would cut the names of what is given together
+WIDTH = 150  # characters; a narrower table would cut the names of joined parts
 COLUMNS = (
     ("part", "{0.name}"),
     ("drives", "{0.drives}"),
@@ -29,12 +29,12 @@ COLUMNS = (
     ("rms error %", "{0.rms_percent:.2f}"),
     ("sigma %", "{0.sigma_percent:.2f}"),
 )
-FIRST_SEED = 12_000  # none of those that constants were chosen by
+FIRST_SEED = 12_000  # not used to choose constants
 
 
 def breakdown(
     drives: Annotated[int, typer.Option(min=1, help="Drives, each of another car.")] = 60,
-    seconds: Annotated[float, typer.Option(min=60.0, help="Length of each.")] = 600.0,
+    seconds: Annotated[float, typer.Option(min=60.0, help="Length of a drive, s.")] = 600.0,
     rms_grade: GradeOption = RMS_GRADE,
     altitude: AltitudeOption = False,
     temperature: Annotated[
@@ -44,30 +44,30 @@ def breakdown(
         bool, typer.Option("--motor-torque", help="With the torque of the motor.")
     ] = False,
     pairs: Annotated[
-        bool, typer.Option("--pairs", help="The difference of two drives of each car instead.")
+        bool, typer.Option("--pairs", help="Check the difference of two drives of each car.")
     ] = False,
     heights: Annotated[
-        str, typer.Option(metavar="DATA", help="Recorded drives with heights taken out instead.")
+        str, typer.Option(metavar="DATA", help="Check recorded drives with heights taken out.")
     ] = "",
     alone: Annotated[
         str,
-        typer.Option(metavar="DATA", help="Recorded drives learned one by one instead."),
+        typer.Option(metavar="DATA", help="Check recorded drives learned one by one."),
     ] = "",
     cars: Annotated[
         str,
         typer.Option(
-            help="Cars of --heights and --alone, by comma.",
+            help="Cars of --heights and --alone, joined by commas.",
             show_default=False,
         ),
     ] = ",".join(CARS),
     json_file: JsonOption = None,
 ) -> None:
-    """Compare each part of the breakdown with what it truly took, on simulated cars.
+    """Compare each part of the breakdown with its true energy, on simulated cars.
 
     The cars are drawn from the priors; they drive in town, on a motorway and on both in turn. With
-    --heights DATA, recorded drives are used instead: the breakdown without their heights is
-    compared with the one with heights. With --alone DATA, that of a drive learned alone is
-    compared with what all drives of its car tell of it.
+    --heights DATA, breakdowns of recorded drives without their heights are compared with those
+    with heights. With --alone DATA, the breakdown of a drive learned alone is compared with that
+    learned from all drives of its car.
 
     Example: evpinn bench breakdown --drives 30
     """

@@ -1,4 +1,4 @@
-"""Options, work and output that the commands of `evpinn bench` have in common."""
+"""Options, parallel work and output shared by the commands of `evpinn bench`."""
 
 from __future__ import annotations
 
@@ -21,33 +21,35 @@ from evpinn_ros.common.writer import check_outputs
 GradeOption = Annotated[float, typer.Option(min=0.0, help="RMS grade of the roads; 0: flat.")]
 AltitudeOption = Annotated[bool, typer.Option("--altitude", help="With a barometer.")]
 DataArgument = Annotated[str, typer.Argument(help="Folder of data, as in `evpinn bench unseen`.")]
-JobsOption = Annotated[int, typer.Option(min=1, help="Processes.")]
+JobsOption = Annotated[int, typer.Option(min=1, help="Number of processes.")]
 TABLE_WIDTH = 140  # characters; in narrower tables numbers would be broken
 Result = TypeVar("Result")
 
 
 def cars_option(cars: Sequence[str]) -> Any:
     """The option `--cars` of a command that scores these cars by default."""
-    return typer.Option(help=f"By comma; else {', '.join(cars)}, those that are there.")
+    return typer.Option(
+        help=f"Joined by commas; if not given, those there are of {', '.join(cars)}."
+    )
 
 
 def chosen_cars(data: str, wanted: str, default: Sequence[str]) -> list[str]:
-    """The cars that are wanted by comma, else those of the default that are there."""
+    """The cars in `wanted`, joined by commas, else those of `default` that `data` has."""
     if wanted:
         return names_in(wanted)
-    there = cars_in(data)
-    return [key for key in default if key in there]
+    present = cars_in(data)
+    return [key for key in default if key in present]
 
 
 def names_in(text: str) -> list[str]:
-    """The names in a list with commas."""
+    """The names in a list joined by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def in_parallel(
     title: str, jobs: int, work: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
 ) -> Iterator[Result]:
-    """Results of work on each task's arguments, in order, by so many processes."""
+    """Results of `work(*task)` for each task, in order, computed by `jobs` processes."""
     with (
         ProcessPoolExecutor(jobs, initializer=limit_blas_threads) as pool,
         progress_bar(title, len(tasks), unit="done") as progress,
@@ -61,9 +63,12 @@ def in_parallel(
 def json_as_it_comes(
     path: Path | None, document: Callable[[], Any], inputs: Iterable[str] = ()
 ) -> Iterator[Callable[[], None]]:
-    """Write what was found at each call, and once more when a signal, an error or all ends it.
+    """Yields a function that writes `document()` to `path`; on exit it is written once more.
 
-    InputError: it would be written over a file of `inputs`, names of data and of cars.
+    Every signal to stop raises KeyboardInterrupt in the block.
+
+    Raises:
+        InputError: `path` is a file of `inputs`, names of data and of cars.
     """
     check_outputs([path], inputs_of(inputs))
 
@@ -72,7 +77,7 @@ def json_as_it_comes(
             write_json(path, document())
 
     try:
-        with stopped_by(signal.default_int_handler):  # all end it as Ctrl-C does
+        with stopped_by(signal.default_int_handler):
             yield keep
     finally:
         if path is not None:
@@ -89,7 +94,7 @@ def table_of(
         rows: the objects, or tuples of several.
         columns: header of each, and the format of its cells: `{0}` is the object, or the first
             of the tuple.
-        left: how many of the columns are texts, aligned left.
+        left: number of columns that are texts, aligned left.
     """
     headers = [header for header, _ in columns]
     objects = (row if type(row) is tuple else (row,) for row in rows)
@@ -98,5 +103,5 @@ def table_of(
 
 
 def figures_table(title: str, rows: Iterable[tuple[str, str, str]]) -> PlainTable:
-    """Table of figures, each beside its goal: (name, measured, goal)."""
+    """Table of (name, measured, goal)."""
     return PlainTable(title, ("", "measured", "goal"), rows)

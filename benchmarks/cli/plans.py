@@ -1,4 +1,4 @@
-"""`evpinn bench plans`: plans made of driven trips, forecast from the drives before them."""
+"""`evpinn bench plans`: forecasts driven trips as plans, learned from the drives before them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def plans(
     jobs: output.JobsOption = 2,
     metrics: MetricsOption = None,
 ) -> None:
-    """Forecast recorded trips as plans of several resolutions, and score that.
+    """Forecast recorded trips as plans of several resolutions, and score the forecasts.
 
     Bias, median and mean error in %; share of 90 % intervals that hold the measured energy; their
     median width in % of gross energy; for all drives and by mean speed. A second table scores the

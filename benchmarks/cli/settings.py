@@ -1,4 +1,4 @@
-"""`evpinn bench settings`: each car scored with constants of the core chosen without it.
+"""`evpinn bench settings`: scores each car with constants of the core chosen without it.
 
 Every alternative of `SETTINGS` replaces one constant of the core, and is scored on every car
 (`benchmarks.variants`). Each car is then scored with all constants at the values that the other
@@ -138,17 +138,17 @@ def settings(
     jobs: output.JobsOption = 2,
     metrics: MetricsOption = None,
 ) -> None:
-    """Score each car with constants that the other cars chose.
+    """Score each car with constants of the core chosen on the other cars.
 
-    The constants are chosen by likelihood. For comparison, the core with its own constants is
-    scored too, and with constants chosen on the scored car.
+    The constants are chosen by likelihood. For comparison, the core is also scored with its own
+    constants, and with constants chosen on the scored car.
 
     Example: evpinn bench settings $DATA --cars model3,e208,leaf2013
     """
     keys = output.chosen_cars(data, cars, CARS)
     lonely = [key for key in keys if not others(key, keys)]
     if lonely:
-        raise InputError(f"--cars: {lonely[0]} needs another car, which chooses for it")
+        raise InputError(f"--cars: {lonely[0]} needs another car, to choose its constants")
     scores: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     finals: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
@@ -186,7 +186,7 @@ def _found(
 
 
 def _show_alternatives(scores: Scores) -> None:
-    title = "Likelihood less that of the product's constants"
+    title = "Likelihood minus that of the product's constants"
     table = PlainTable(title, ("instead", *scores, "all cars"))
     for variant in alternatives()[1:]:
         gains = [
@@ -210,5 +210,5 @@ def _show_chosen(chosen: Mapping[str, Sequence[Variant]], finals: Scores) -> Non
         *SCORE_COLUMNS,
     )
     rows = [(finals[key][name], text) for (key, name), text in changes.items()]
-    title = "Scored with constants chosen without the car, and others beside"
+    title = "Scores with constants chosen without the car, and with others"
     show(output.table_of(title, rows, columns, left=3), at_least=output.TABLE_WIDTH)

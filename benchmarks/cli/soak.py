@@ -1,4 +1,4 @@
-"""`evpinn bench soak`: hours of driving in one run, with memory and time watched."""
+"""`evpinn bench soak`: measures memory and time over hours of driving in one run."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Hour(NamedTuple):
     """One hour of driving."""
 
     readings: int  # that went through the chain
-    resident_mb: float  # memory of the process at its end
-    us_per_reading: float  # processor time for one, all learning included
+    resident_mb: float  # memory of the process at the end
+    us_per_reading: float  # processor time, learning included
     energy: float  # counted since the first hour, J
 
     @property
@@ -49,17 +49,17 @@ class Hour(NamedTuple):
 def drive_hours(
     hours: int, clock: Clock, progress: Callable[[float], None], duration: float = HOUR
 ) -> Iterator[Hour]:
-    """Drive one chain for hours, each of another drive, with a pause after it.
+    """Drive one chain for hours, each a drive of its own with a pause after it.
 
-    The clock is processor time, s; `progress` takes the seconds done; an hour lasts `duration`, s.
+    `clock` is processor time, s; `progress` takes the driven seconds; an hour lasts `duration`, s.
 
     Raises:
-        InputError: no /proc here.
+        InputError: there is no /proc.
     """
     chain = Chain(load_vehicle(VEHICLE), EstimatorSettings(), InlineWorker(clock))
     context = get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
-    # Simulated elsewhere: the memory that is watched shall be the chain's.
+    # Simulated in another process, so that the measured memory is the chain's.
     elsewhere = context.Process(target=_simulate, args=(sending, hours, duration), daemon=True)
     elsewhere.start()
     sending.close()
@@ -78,7 +78,7 @@ def drive_hours(
 
 
 def _simulate(sending: Connection, hours: int, duration: float) -> None:
-    """Send one car for hours, with a pause after each: pieces of readings, an empty one to end."""
+    """Send pieces of the readings of each hour, followed by an empty piece."""
     vehicle, car = load_vehicle(VEHICLE), None
     for hour, kind in zip(range(hours), cycle(DriveKind), strict=False):
         start_ns = EPOCH_NS + round(hour * (duration + PAUSE) * NANOSECONDS)
@@ -119,7 +119,7 @@ def soak(
     hours: Annotated[int, typer.Option(min=2, help="Hours of driving through one chain.")] = 24,
     json_file: JsonOption = None,
 ) -> None:
-    """Drive for a day in one run, and watch memory and speed.
+    """Drive for a day in one run, and measure memory and time.
 
     Example: evpinn bench soak --hours 24 --json out/soak.json
     """

@@ -1,4 +1,4 @@
-"""`evpinn bench speed`: how quick replays and forecasts are, in the library and over DDS."""
+"""`evpinn bench speed`: times replays and forecasts, in the library and over DDS."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class ReplayThroughput(NamedTuple):
 
     Attributes:
         realtime_factor: seconds of the drive for each of the processor.
-        sample_us: microseconds for a speed, with all that comes between two of them.
+        sample_us: microseconds per speed, with all readings between two speeds.
         kalman_us: the same for a step of an extended Kalman filter of six states, in numpy.
     """
 
@@ -89,7 +89,7 @@ class ReplayThroughput(NamedTuple):
 
 
 def measure_replay(vehicle: Vehicle, seconds: float) -> ReplayThroughput:
-    """Time the replay of a simulated drive from its bag, and a peer beside it."""
+    """Time the replay of a simulated drive from its bag, and a Kalman filter beside it."""
     with TemporaryDirectory() as folder:
         bag = Path(folder) / "drive"
         write(simulate(DriveKind.MIXED, vehicle, seconds, seed=1), bag)
@@ -135,13 +135,12 @@ def speed(
 ) -> None:
     """Time replays and forecasts: a drive, many profiles at once, plans asked of `energy`.
 
-    The replay is that of a simulated drive at 10 Hz, from its bag, with learning; beside it runs
-    an extended Kalman filter of six states. For the library it measures processor time, in numpy
-    and torch. For the node it measures the delay from a plan to its answer, for single plans and
-    for twelve together with all their differences; those of calls of the typed service, where
-    `evpinn_msgs` is installed, and of the topics of a car that drives, beside a node that answers
-    at once; and the memory of the three nodes. How accurate forecasts are is measured by
-    `evpinn bench plans`.
+    The replay reads a simulated drive at 10 Hz from its bag and learns; an extended Kalman filter
+    of six states is timed beside it. The library is timed in numpy and torch, as processor time.
+    The nodes are timed from a plan to its answer, for single plans and for twelve together with
+    all their differences; from a call of the typed service to its answer, if `evpinn_msgs` is
+    installed; and from a reading to the topics, beside a node that answers at once. The memory of
+    the three nodes is measured too. `evpinn bench plans` measures how accurate forecasts are.
 
     Example: evpinn bench speed --plans 300
     """

@@ -1,4 +1,4 @@
-"""`evpinn bench truth`: how true the published parameters are, on simulated cars."""
+"""`evpinn bench truth`: compares published parameters with those of simulated cars."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def truth(
     drives: Annotated[
         int, typer.Option("--drives", "--cars", min=1, help="Drives, each of another car.")
     ] = 24,
-    kind: Annotated[DriveKind, typer.Option(help="Where to drive.")] = DriveKind.URBAN,
+    kind: Annotated[DriveKind, typer.Option(help="Kind of road.")] = DriveKind.URBAN,
     from_priors: Annotated[
         bool, typer.Option("--from-priors", help="Draw cars from the priors, to test intervals.")
     ] = False,
@@ -66,7 +66,7 @@ def _compare(figures: dict[str, Any], compared: Iterable[TruthCheck], drives: in
             for check in compared:
                 checks.append(check)
                 progress(check.seed - FIRST_SEED)
-    finally:  # and the drives so far
+    finally:  # Ctrl-C leaves the drives so far
         if checks:
             rows = summaries(checks)
             figures["summaries"] = [asdict(row) for row in rows]
@@ -76,7 +76,7 @@ def _compare(figures: dict[str, Any], compared: Iterable[TruthCheck], drives: in
 
 
 def _unobservable(checks: Sequence[TruthCheck]) -> str:
-    """In how many drives C_d was shown as not informed by the data, at the end."""
+    """Sentence on the number of drives whose C_d was flagged as unobservable at the end."""
     end = max(check.seconds for check in checks)
     shares = [
         check.prior_share for check in checks if check.name == "c_d" and check.seconds == end

@@ -1,4 +1,4 @@
-"""`evpinn bench unseen`: what the learner says of drives whose battery it does not see."""
+"""`evpinn bench unseen`: scores methods on drives whose battery is hidden from them."""
 
 from __future__ import annotations
 
@@ -41,25 +41,26 @@ def unseen(
             metavar="DATA", help="Folder of cars, or PATH=VEHICLE for drives of one car."
         ),
     ],
-    cars: Annotated[str, typer.Option(help="Only these of its cars, by comma.")] = "",
+    cars: Annotated[str, typer.Option(help="Only these cars, joined by commas.")] = "",
     methods: Annotated[
         str,
         typer.Option(
-            help=f"Methods, by comma: {', '.join(METHODS)}. Default: all.", show_default=False
+            help=f"Methods, joined by commas; if not given, {', '.join(METHODS)}.",
+            show_default=False,
         ),
     ] = ",".join(METHODS),
     method: Annotated[
         list[str] | None,
-        typer.Option(help="Another, as FILE.py:CLASS; CONTRIBUTING.md shows how."),
+        typer.Option(help="Your own method, as FILE.py:CLASS; see CONTRIBUTING.md."),
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
     json_file: JsonOption = None,
 ) -> None:
-    """Score every method on drives and dropouts without the battery.
+    """Score every method on drives and dropouts whose battery is hidden.
 
     Each drive is predicted from what the drives before it taught, and then learned from. Errors of
-    energy are in percent of the measured net energy, or of the gross energy: drawn and regenerated
-    energy added.
+    energy are in percent of the measured net energy, or of the gross energy: the sum of drawn and
+    regenerated energy.
 
     Example: evpinn bench unseen $DATA --cars model3,i3 --methods weak_ls,core --jobs 2
     """
@@ -69,9 +70,9 @@ def unseen(
     one_car = "=" in data
     there = [*cars_in(data), *(() if one_car else KINDS)]
     if not (one_car or sumo_is_there()):
-        note("evpinn: eclipse-sumo and libsumo are not installed, so there are no cars by SUMO")
+        note("evpinn: eclipse-sumo and libsumo are not installed: cars by SUMO are left out")
     if not one_car and fastsim_version() is None:
-        note("evpinn: fastsim is not installed, so there are no cars by FASTSim")
+        note("evpinn: fastsim is not installed: cars by FASTSim are left out")
     chosen = _chosen(names_in(cars), there)
     tasks = [Task(data, car, name) for car in chosen for name in names]
     by_car: dict[str, Any] = {}
@@ -111,7 +112,7 @@ def _add(by_car: dict[str, Any], result: TaskResult) -> None:
 
 
 def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
-    # Of a file of one's own the name alone, for tables are narrow.
+    # Without the folder of a method's file, because tables are narrow.
     methods = {name.rpartition("/")[2]: entry["methods"][name] for name in names}
     title = f"{car}: {entry['drives']} drives, {entry['hours']:.1f} h, {entry['vehicle']}"
     say()

@@ -54,7 +54,7 @@ class UnseenDrive:
         return self.readings[0].stamp_ns
 
     def intervals(self, vehicle: Vehicle) -> Iterator[Interval]:
-        """Intervals that a car may learn from, and those that nothing is learned from."""
+        """All intervals of the drive, also those that are too poor to learn from."""
         stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
         events = stream.add(in_order(Block.of(self.readings)))
         return (interval for _, interval in events.intervals)
@@ -70,7 +70,7 @@ class UnseenDrive:
 
     @cached_property
     def paired(self) -> tuple[Reading, ...]:
-        """The readings; a voltage or current without the other has it by its straight line."""
+        """The readings; a voltage or current that lacks the other gets it by interpolation."""
         rows = [reading for reading in self.readings if isinstance(reading, BatteryReading)]
         time = np.array([self.seconds(reading.stamp_ns) for reading in rows])
         volts, amperes = (
@@ -90,7 +90,7 @@ class UnseenDrive:
 
     @cached_property
     def spans(self) -> list[DrivePart]:
-        """Spans in which speed and battery are both known: these are scored, for every method."""
+        """Spans in which speed and battery are both known; these are scored."""
         return common(self.power.spans(), self.speed.spans())
 
     @property
@@ -115,7 +115,7 @@ def _completed(reading: BatteryReading, volts: float, amperes: float) -> Battery
 class UnseenCar:
     """A car and its drives, in order."""
 
-    key: str  # what `--cars` calls it
+    key: str  # its name in `--cars`
     vehicle: Vehicle  # all that a method knows of it
     drives: tuple[UnseenDrive, ...]  # in order of time
     # true combinations by `method.NAMES`, empty where they are unknown
@@ -163,7 +163,7 @@ SIMULATED = "simulated"
 
 
 def inputs_of(names: Iterable[str]) -> Iterator[Path]:
-    """Every file that the data or cars of these names may be read from, in other processes too."""
+    """Every file from which data or cars with these names may be read."""
     for name in names:
         path, _, vehicle = name.rpartition("=")
         for root in map(Path, (path, *vehicle.split(",")) if path else (name,)):
@@ -172,10 +172,9 @@ def inputs_of(names: Iterable[str]) -> Iterator[Path]:
 
 
 def cars_in(data: str) -> list[str]:
-    """Names of the cars whose drives lie in a folder, and of those that are simulated.
+    """Names of the cars whose drives are in a folder, and of simulated cars.
 
-    PATH=VEHICLE is one car of its own. Cars by SUMO and FASTSim are among them where these are
-    installed.
+    PATH=VEHICLE is a car itself. Cars by SUMO and FASTSim are included if these are installed.
     """
     root = Path(data)
     if not root.exists() and "=" in data:
@@ -191,7 +190,7 @@ def load_car(data: str, key: str) -> UnseenCar:
     """Read or simulate the drives of a car.
 
     Raises:
-        InputError: none of them can be read.
+        InputError: no drive can be read.
     """
     if key == SIMULATED:
         drives = tuple(
@@ -220,7 +219,7 @@ def load_car(data: str, key: str) -> UnseenCar:
 
 
 def _own_folder(key: str) -> Folder:
-    """Path and car of `PATH=VEHICLE` or `PATH=VEHICLE,PROFILE`, whose logs are all drives."""
+    """The folder in `PATH=VEHICLE` or `PATH=VEHICLE,PROFILE`."""
     path, _, vehicle = key.rpartition("=")
     if not Path(path).exists():
         raise InputError(f"{path}: no such file or folder")

@@ -1,9 +1,9 @@
-"""Cars by others: FASTSim 3 (`fastsim` on PyPI), four electric cars on standard cycles.
+"""Four electric cars of another simulator, FASTSim 3 (`fastsim` on PyPI), on standard cycles.
 
 Mass, tyres, drag and the losses of motor, gearbox and battery by load come with FASTSim; no
-constant of the core was chosen while looking at these cars. Each drives three cycles on a flat
-road and again over hills of known height, one speed a second and without noise; power is the mean
-over each second. How FASTSim is installed: `benchmarks.fastsim_peer`.
+constant of the core was chosen on these cars. Each drives three cycles on a flat road, and again
+over hills of known height, with one speed a second and without noise; power is the mean of each
+second. `benchmarks.fastsim_peer` says how to install FASTSim.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class FastsimDrive(NamedTuple):
 
 
 def fastsim_is_there(data: Path) -> bool:
-    """True if FASTSim is installed and the cycles lie in a folder."""
+    """Whether FASTSim is installed and the folder has its cycles."""
     return fastsim_version() is not None and (data / "drive_cycles").is_dir()
 
 

@@ -1,6 +1,6 @@
-"""Goals of the core over all cars that were scored, beside what was found.
+"""Goals of the core over all scored cars, beside what was measured.
 
-A goal that needs a car which was not scored is not judged.
+A goal whose cars were not scored is left out.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Scores = Mapping[str, Any]
 
 
 def car_table(cars: Mapping[str, Scores], beside: Mapping[str, Scores]) -> PlainTable:
-    """CRPS of each car over that of the method beside, and coverage of its intervals."""
+    """CRPS of the core over that of the other method, and coverage of its intervals, by car."""
     headers = [f"{name}:\nratio" for name in list(PARTS.values())[:2]]
     table = PlainTable("", ("core", *headers, *(f"{name}:\nin 90 %" for name in PARTS.values())))
     for car, scores in cars.items():
@@ -53,11 +53,10 @@ def figures(
 
     Args:
         cars: scores of the core by car.
-        beside: of the method that it is to be better than.
+        beside: scores of the method with which it is compared.
     """
     for (part, group), goal in GOALS.items():
-        there = [car for car in group if car in cars]
-        crps = _known(_value(cars[car], part, CRPS) for car in there)
+        crps = _known(_value(cars[car], part, CRPS) for car in group if car in cars)
         if crps:
             name = f"CRPS {PARTS[part]}, geometric mean of {len(crps)} of {len(group)} cars"
             yield f"{name} ({group[0]}, ...)", f"{geometric_mean(crps):.2f} %", f"{goal:g} %"

@@ -1,4 +1,4 @@
-"""The textbook's way: an extended Kalman filter on what battery power can determine.
+"""The textbook method: an extended Kalman filter of what battery power can determine.
 
 State: k_a = A C_d / eta (m^2), k_r = C_rr m / eta (kg), k_m = m / eta (kg), q = eta mu and P_aux
 (W). Battery power is (eq. 12-21 in the `wheel_power` form)
@@ -6,9 +6,9 @@ State: k_a = A C_d / eta (m^2), k_r = C_rr m / eta (kg), k_m = m / eta (kg), q =
     P = s w + P_aux + known,  w = v [rho k_a v |v| / 2 + g k_r cos(th) + k_m (g sin(th) + k a)]
 
 with s = 1 where w > 0, else q, and k the factor of rotating mass. Mean and covariance before
-driving follow from the priors of the vehicle file. How fast the states wander is the one choice
-there is: here so fast that they follow the last residuals, and are less parameters of the car.
-That lowers the score at 10 Hz as holding the last value does, and is worth nothing to a forecast.
+driving follow from the priors of the vehicle file. The process noise is the only choice: here it
+is so large that the states follow the last residuals rather than the car. That improves the score
+at 10 Hz, as holding the last value does, but no forecast.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class FiveStateFilter:
         return power, math.sqrt(variance)
 
     def observe(self, sample: Sample, power: float) -> None:
-        """Let time pass up to a sample, and correct the state by it."""
+        """Propagate the state to a sample, and correct it."""
         last, self._last_ns = self._last_ns, sample.stamp_ns
         step = 0.0 if last is None else (sample.stamp_ns - last) / NANOSECONDS
         step = min(max(step, 0.0), LONGEST_STEP)

@@ -100,8 +100,7 @@ class Line:
 def battery_power(readings: Iterable[Reading], start_ns: int) -> Line:
     """Battery power, W, positive when drawn, from voltage and current of any stamps.
 
-    Both are taken as straight between their own samples, so logs that poll one after the other
-    need no pairing.
+    Both are interpolated between their own samples, so logs that poll them in turn need no pairs.
     """
     rows = [
         ((reading.stamp_ns - start_ns) / NANOSECONDS, reading.voltage, reading.current)

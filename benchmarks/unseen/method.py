@@ -1,8 +1,8 @@
 """The interface of a method that is scored, and our own estimator behind it.
 
-A method is made by `factory(vehicle)` and gets every reading of a car in recorded order. It must
-be possible to copy it with `copy.deepcopy`: the copy then goes on without battery readings, and
-the original goes on with them.
+A method is made by `factory(vehicle)` and gets every reading of a car in recorded order.
+`copy.deepcopy` must work on it: the copy continues without battery readings, the original with
+them.
 """
 
 from __future__ import annotations
@@ -42,16 +42,15 @@ class Prediction(NamedTuple):
 
 
 class Method(Protocol):
-    """Method that is scored.
+    """A method that is scored.
 
-    One that also has `add_readings(readings)`, which gives the predictions of several readings,
-    gets many at once; one that has `finish()` gives the rest of a drive. One that has
-    `pairs = True` joins voltage and current of different stamps by itself; for the others each
-    battery reading has both.
+    Optional: `add_readings(readings)` takes several readings and returns their predictions;
+    `finish()` returns the remaining predictions of a drive; with `pairs = True` the method joins
+    voltage and current of different stamps itself, otherwise each battery reading has both.
     """
 
     def add_reading(self, reading: Reading) -> Iterable[Prediction] | None:
-        """Take one reading; give the predictions it completes, in order of time; None if none."""
+        """Take one reading; returns the predictions it completes, in order of time, or None."""
 
     def begin_next_drive(self) -> None:
         """Begin another drive of the same car."""
@@ -89,7 +88,7 @@ class OnlineChain:
             yield from self._predictions(outputs)
 
     def finish(self) -> Iterator[Prediction]:
-        """What waits for more of a drive that is over."""
+        """The remaining predictions of a drive."""
         return self._predictions(self._chain.read_rest())
 
     def _predictions(self, outputs: Outputs) -> Iterator[Prediction]:
@@ -103,14 +102,14 @@ class OnlineChain:
         yield from map(Prediction, *(column.tolist() for column in columns))
 
     def _hear(self, block: Block) -> None:
-        """Note when voltage and current are told."""
+        """Record the stamps of voltage and current."""
         rows = block.of_kind(BatteryReading)
         for index, values in enumerate(rows.values[:2]):
             stamps = np.append(self._told_ns[index][-KEPT:], rows.stamps[~np.isnan(values)])
             self._told_ns[index] = np.sort(stamps)
 
     def _known(self, by_ns: np.ndarray) -> np.ndarray:
-        """Stamps up to which voltage and current are told by others, ns, shape (n,)."""
+        """Newest stamps up to `by_ns` at which voltage and current were measured, ns, (n,)."""
         known = (
             stamps[np.maximum(stamps.searchsorted(by_ns, side="right") - 1, 0)]
             for stamps in self._told_ns

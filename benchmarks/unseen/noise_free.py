@@ -1,9 +1,9 @@
-"""Truth of a car by others whose power is known without noise: what its own trace determines.
+"""Truth of a car of another simulator, from its trace without noise.
 
-It is the functional of our own simulated cars and of what the estimator publishes
-(`simulation.truth.combinations`), over steps of `TRUTH_STEP`; p_aux is what a standing car draws.
-The parameters of a simulator's file over a mean eta are no such truth: what a map of losses takes
-without torque is a force, and no battery tells it apart from that of the tyres.
+It is computed as for our own simulated cars (`simulation.truth.combinations`), over steps of
+`TRUTH_STEP`; p_aux is the power of the standing car. The parameters in the simulator's file
+divided by a mean eta are not this truth: losses without torque act as a force, which the battery
+cannot distinguish from that of the tyres.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def noise_free_truth(
         moved: steps of one length, one after the other.
         energy: of the battery in each, J, shape (n,).
         p_aux: standing load, W.
-        vehicle: whose car tells which steps drive and which brake.
+        vehicle: by whose car steps are driving or braking.
         air_density: kg/m^3.
     """
     count = max(1, round(TRUTH_STEP / float(np.median(moved.duration))))

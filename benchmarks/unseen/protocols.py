@@ -20,8 +20,8 @@ from benchmarks.unseen.scores import PartScore, Track, score_part
 from evpinn_ros.core.signals.readings import NANOSECONDS, BatteryReading, Reading, SpeedReading
 
 FIRST_CUT, CUT_STEP, DROPOUT, LONG_DROPOUT = 250.0, 50.0, 200.0, 600.0  # s
-SPARSE_STEP, MANY_HOURS = 200.0, 0.5  # s between cuts of a car that drove for longer, h
-SHORT_DRIVE = 100.0  # s; a drive too short for any dropout of 200 s is cut once, at its half
+SPARSE_STEP, MANY_HOURS = 200.0, 0.5  # s between cuts of a car with more driving than this, h
+SHORT_DRIVE = 100.0  # s; a drive too short for a dropout of 200 s is cut once, in the middle
 WARM_UP = 120.0  # s of a drive whose online predictions are not scored
 AFTER_END = 10.0  # s that a copy reads on, for predictions that lag
 LEAST_DISTANCE = 100.0  # m; shorter drives are learned from, but not scored as carried

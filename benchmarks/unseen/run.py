@@ -1,4 +1,4 @@
-"""All methods over all cars, each pair of them a task for one of some processes."""
+"""Scores every method on every car; each pair is a task for a process."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class TaskResult(NamedTuple):
 
 
 def find_method(name: str) -> Factory:
-    """A method of this package by its name, or `FILE.py:CLASS` of anybody's.
+    """A method of this package by its name, or the class in `FILE.py:CLASS`.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such method.
     """
     if name in METHODS:
         return METHODS[name]
@@ -66,7 +66,7 @@ def find_method(name: str) -> Factory:
 
 
 def run_task(task: Task, tell: Callable[[float], None] = lambda share: None) -> TaskResult:
-    """Score one method on one car; `tell` takes the share that is done."""
+    """Score one method on one car; `tell` takes the finished share."""
     limit_blas_threads()
     factory = find_method(task.method)
     if task.car in KINDS:
@@ -84,9 +84,9 @@ def run_task(task: Task, tell: Callable[[float], None] = lambda share: None) -> 
 def run_tasks(
     tasks: Sequence[Task], jobs: int, tell: Callable[[float], None]
 ) -> Iterator[TaskResult]:
-    """Score all, each as it is done, in other processes or, if `jobs` is 1, in this one.
+    """Yields the result of each task as it ends, from `jobs` processes; 1: from this process.
 
-    In this process `tell` takes how many are done, with the share of the present one.
+    In this process, `tell` takes the number of finished tasks, with the share of the present one.
     """
     if jobs == 1:
         for number, task in enumerate(tasks):
@@ -95,8 +95,8 @@ def run_tasks(
     with ProcessPoolExecutor(jobs) as pool:
         running = [pool.submit(run_task, task) for task in tasks]
         try:
-            for done in as_completed(running):
-                yield done.result()
+            for future in as_completed(running):
+                yield future.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
@@ -107,5 +107,5 @@ def _tell_share(tell: Callable[[float], None], number: int, share: float) -> Non
 
 @lru_cache(maxsize=1)
 def _car(data: str, key: str) -> UnseenCar:
-    """Tasks of one car follow each other, so its drives are read once a process."""
+    """Cached, because successive tasks are on the same car."""
     return load_car(data, key)

@@ -18,8 +18,8 @@ from benchmarks.unseen.lines import DrivePart, Line, common
 from benchmarks.unseen.method import Prediction
 
 QUANTILE_90 = 1.6448536269514722  # sigmas to either side that hold 90 % of a normal deviate
-LEAST_COVERED = 0.9  # of the stretches
-MOST_SIGMAS = 4.0  # away, in the log score
+LEAST_COVERED = 0.9  # share of the stretches
+MOST_SIGMAS = 4.0  # limit of an error in the log score
 MEANS = (1.0, 10.0, 60.0)  # s, over which power is averaged
 AGES = (1.0, 10.0, 60.0, 600.0)  # s since the last battery sample
 AGE_BAND = 2.0  # RMSE at an age: from half of it up to `AGE_BAND` times it, up to the end
@@ -43,7 +43,7 @@ class Track:
         self.sigma = Line(time, columns[3], gap)
 
     def energy_over(self, spans: Iterable[DrivePart]) -> float:
-        """Predicted energy of spans, J: the method's own count, else the integral of power."""
+        """Predicted energy of spans, J: the method's own, else the integral of its power."""
         total = 0.0
         for span in spans:
             ends = np.clip(np.array(span), self.power.time[0], self.power.time[-1])
@@ -85,12 +85,12 @@ class PartScore:
 
     @property
     def valid(self) -> bool:
-        """True if there is anything to score, and the method did predict it."""
+        """Whether there is anything to score, and the method predicted it."""
         return self.covered >= LEAST_COVERED and self.gross > 0
 
     @property
     def rmse(self) -> float:
-        """At the stamps of speed, W."""
+        """RMSE of power at the stamps of speed, W."""
         return math.sqrt(self.squares[0] / self.squares[1]) if self.squares[1] else math.nan
 
     @property
@@ -114,10 +114,9 @@ class PartScore:
 
 
 def crps(error: float, sigma: float) -> float:
-    """Continuous ranked probability score: error and width judged together, in their unit.
+    """Continuous ranked probability score of a normal prediction, in the unit of the error.
 
-    Of a normal prediction (Gneiting and Raftery, 2007, eq. 21); a sure one (sigma 0) is its
-    absolute error.
+    Gneiting and Raftery (2007), eq. 21; the absolute error if sigma is 0.
     """
     if sigma == 0:
         return abs(error)

@@ -1,8 +1,8 @@
-"""A log that holds several drives, and charging between them, into its drives.
+"""Splits a log into its drives, at pauses and charging.
 
-As `evpinn_ros.logs.trips`, but a drive goes on across a stop of any length, and is of 1 km at
-least: the recorded scores, and those of `docs/project/benchmarks.md`, are of drives cut in this
-way (109 of the Leaf, whose logs hold 123 trips).
+Unlike `evpinn_ros.logs.trips`, a drive continues across a stop of any length, and has at least
+1 km: the scores in `docs/project/benchmarks.md` are of drives cut like this (109 of the Leaf,
+whose logs have 123 trips).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LEAST_DISTANCE = 1000.0  # m; shorter pieces are manoeuvres
 
 
 def split(readings: Sequence[Reading]) -> Iterator[tuple[Reading, ...]]:
-    """The drives of a log, in order; one that is short as a whole is given as it is."""
+    """The drives of a log, in order; a log of one drive is not cut, however short."""
     spans = _driving(readings)
     if len(spans) == 1:
         yield tuple(readings)

@@ -1,9 +1,8 @@
-"""Readings to steps of driving: the one alignment that all baselines share.
+"""Makes steps of driving from readings, for all baselines.
 
 A step lies between two neighbouring speeds. Kinetic energy is an exact difference, so no
-derivative is taken; fast speed is averaged over seven samples first, slower speed is left as it
-is. A step waits for its power until voltage and current are known on both sides of it, each from
-its own stamps.
+derivative is taken; only fast speed is averaged, over seven samples. A step gets its power once
+voltage and current are known on both sides of it, each from its own stamps.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ class DrivingStep:
 
 
 class StepStream:
-    """Makes steps of readings, first without their power and, once it is known, with it."""
+    """Makes steps from readings, first without power and, once it is known, again with it."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._road = Road(GradeSource.AUTO, vehicle.air_density)
@@ -80,7 +79,7 @@ class StepStream:
         self._waiting: deque[DrivingStep] = deque(maxlen=KEPT)
 
     def add_reading(self, reading: Reading) -> Iterator[DrivingStep]:
-        """Take a reading; give steps to be predicted, and steps to be learned from."""
+        """Take a reading; yields steps to predict, and steps to learn from."""
         if isinstance(reading, SpeedReading):
             yield from self._add_speed(reading)
         elif isinstance(reading, BatteryReading):
@@ -107,7 +106,7 @@ class StepStream:
             return
         before = self._last
         if before is not None and now[0] <= before[0]:
-            return  # the signal became faster: the smoothed moment lies behind
+            return  # the signal became faster: the smoothed moment is not newer
         self._last = now
         if before is not None:
             step = self._step(before, now)
@@ -116,7 +115,7 @@ class StepStream:
             yield from self._measured()
 
     def _smoothed(self) -> tuple[int, float] | None:
-        """The newest moment whose speed is known; of fast signals it lies half a window back."""
+        """Newest moment with a known speed; half a window back for fast signals."""
         speeds = self._speeds
         span = (speeds[-1][0] - speeds[0][0]) / NANOSECONDS
         if len(speeds) > 1 and span / (len(speeds) - 1) > SMOOTHED_BELOW:

@@ -1,4 +1,4 @@
-"""Sums of a method's scores on one car: the numbers that the table and the JSON hold."""
+"""Sums up a method's scores on one car, for table and JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ONLINE_AGE = "0.1"
 
 def summary(run: CarRun) -> dict[str, Any]:
     """The scores of one method on one car; null where there is none."""
-    # Before the first drive nothing is known of the car, so it counts only where it is alone.
+    # Nothing is known of the car before its first drive, which counts only if there is no other.
     carried = run.carried[1:] if len(run.carried) > 1 else run.carried
     return {
         "carried": _energies(carried),
@@ -74,9 +74,9 @@ def _energies(parts: Sequence[ScoredPart]) -> dict[str, Any] | None:
 
 
 def _by_log(carried: Sequence[ScoredPart]) -> dict[str, float | None] | None:
-    """Errors of the net energy of whole logs, percent, where a log holds several drives.
+    """Errors of the net energy of whole logs, percent; None unless logs have several drives.
 
-    Drives that run downhill have a net energy near zero, which no percentage is of use for.
+    A drive downhill has a net energy near zero, of which a percentage means nothing.
     """
     logs: dict[str, list[PartScore]] = {}
     known = [part for part in carried if part.score.valid]
@@ -96,7 +96,7 @@ def _by_log(carried: Sequence[ScoredPart]) -> dict[str, float | None] | None:
 
 
 def _online(run: CarRun) -> dict[str, Any] | None:
-    """Errors of power while the battery is measured; its energy is then no prediction."""
+    """Errors of power while the battery is measured; the energy is not predicted then."""
     energies = _energies(run.online)
     return energies and {name: energies[name] for name in ("parts", "rmse_pooled_w", "means_w")}
 

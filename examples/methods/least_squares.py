@@ -1,4 +1,4 @@
-"""A method of your own against the others: least squares on the fly, in forty lines.
+"""A method of your own against the others: recursive least squares in forty lines.
 
 `evpinn bench unseen bags=tesla_model_3_lr --methods prior,core --method
 examples/methods/least_squares.py:LeastSquares`; the interface is `benchmarks.unseen.method`.
@@ -18,7 +18,7 @@ STEP, LONGEST = 1.0, 30.0  # s between two speeds that are joined
 
 
 def terms(v: float, va: float) -> np.ndarray:
-    """What each coefficient multiplies, at a speed, m/s, and a speed times acceleration."""
+    """Terms of the coefficients, at a speed, m/s, and speed times acceleration, m^2/s^3."""
     return np.array((v, v**3, max(va, 0.0), min(va, 0.0), 1.0))
 
 
@@ -26,7 +26,7 @@ class LeastSquares:
     """Power as c . (v, v^3, v a driving, v a braking, 1), fitted to all steps so far."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Begin as if the car had driven 30 steps with the power that its vehicle file says."""
+        """Start as if the car had driven 30 steps with the power of its vehicle file."""
         self._normal, self._target = np.eye(5), np.zeros(5)
         for v in range(0, 30, 5):
             for a in (-1.5, -0.5, 0.0, 0.5, 1.5):
@@ -44,7 +44,7 @@ class LeastSquares:
         self._powers: list[float] = []
 
     def add_reading(self, reading: Reading) -> Iterator[Prediction]:
-        """Predict each step first; learn from it if the battery was measured in it."""
+        """Predict each step, then learn from it if the battery was measured in it."""
         if isinstance(reading, BatteryReading) and math.isfinite(reading.power):
             self._powers.append(reading.power)
         if not isinstance(reading, SpeedReading):

@@ -1,10 +1,9 @@
-"""The cheapest way over a ridge, and whether another's model of the car agrees.
+"""Finds the route of least energy over a ridge, and compares it with SUMO's model of the car.
 
 A grid of roads has a fast road over a ridge of 400 m, and a pass beside it. `ev.edge_energies`
-gives the energy of every road, Bellman and Ford's algorithm the cheapest way (downhill a road may
-give energy back), and the sigma of the difference tells how sure it is to be cheaper than the
-fastest. Where SUMO is installed (`pip install eclipse-sumo libsumo`), its driver takes its model
-of the car over both.
+gives the energy of every road, and the Bellman-Ford algorithm the route of least energy (a road
+downhill may return energy). The sigma of the difference shows how certain it is to take less than
+the fastest. If SUMO is installed (`pip install eclipse-sumo libsumo`), it drives both routes.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ Road = tuple[Crossing, Crossing]
 
 
 class Way(NamedTuple):
-    """Roads of a way in order, its minutes, and its energy with 1-sigma, kWh."""
+    """A route."""
 
-    roads: list[Road]
+    roads: list[Road]  # in order
     minutes: float
-    energy: float
-    sigma: float
+    energy: float  # kWh
+    sigma: float  # of the energy, kWh
 
 
 def height(x: float, y: float) -> float:
@@ -76,10 +75,10 @@ def ways(edges: pd.DataFrame) -> tuple[Way, Way, ev.EdgeEnergies]:
 
 
 def least(costs: Mapping[Road, float], start: Crossing, goal: Crossing) -> list[Road]:
-    """Roads of the way of least cost by Bellman and Ford, who allow a road to give back."""
+    """Roads of the route of least cost, by Bellman-Ford: costs may be negative."""
     best, last = {start: 0.0}, dict[Crossing, Crossing]()
     changed = True
-    while changed:  # ends, for no round trip gives energy
+    while changed:  # ends, because no round trip gains energy
         changed = False
         for (a, b), cost in costs.items():
             if a in best and best[a] + cost < best.get(b, math.inf) - 1e-6:
@@ -122,7 +121,7 @@ def _write_network(folder: Path, edges: pd.DataFrame) -> None:
 
 
 def _drive(folder: Path, roads: Sequence[Road]) -> float:
-    """Energy of one car alone on the roads, kWh."""
+    """Energy of a single car on the roads, kWh."""
     import libsumo
     import sumo
 
@@ -149,7 +148,7 @@ def _drive(folder: Path, roads: Sequence[Road]) -> float:
 
 
 def main() -> None:
-    """Print both ways, and what SUMO says of them."""
+    """Print both routes, and their energies by SUMO."""
     edges = roads()
     fastest, cheapest, energies = ways(edges)
     for name, way in (("fastest", fastest), ("cheapest", cheapest)):

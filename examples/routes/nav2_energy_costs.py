@@ -3,12 +3,11 @@
 
     python examples/routes/nav2_energy_costs.py graph.geojson energy.geojson --car bmw_i3
 
-Nav2's `PenaltyScorer` adds it, so `edge_cost_functions: [DynamicEdgesScorer, PenaltyScorer]` takes
-the route of least energy of those that are not closed. A node is a point x, y, z in m, z upwards;
-an edge is driven at the `abs_speed_limit` of its `metadata`, m/s, else at `--speed`. Nav2's search
-takes no negative costs, and downhill energy comes back, so an edge costs its energy plus the
-potential of its begin less that of its end (Johnson 1977): between two nodes that adds the same to
-every route.
+With `edge_cost_functions: [DynamicEdgesScorer, PenaltyScorer]`, Nav2 takes the route of least
+energy that is not closed. A node is a point x, y, z in m, z upwards; an edge is driven at the
+`abs_speed_limit` of its `metadata`, m/s, else at `--speed`. Nav2's search needs costs >= 0, but
+downhill energy may be negative. So an edge costs its energy plus the potential of its start minus
+that of its end (Johnson 1977), which adds the same to every route between two nodes.
 """
 
 import argparse
@@ -24,7 +23,7 @@ KWH = 3.6e6  # J
 
 
 def potentials(pairs: Sequence[tuple[int, int]], energies: Sequence[float]) -> dict[int, float]:
-    """Potential of each node, J, with which no edge costs less than nothing (Bellman-Ford)."""
+    """Potential of each node, J, with which no edge has a negative cost (Bellman-Ford)."""
     least = {node: 0.0 for pair in pairs for node in pair}
     for _ in least:
         before = dict(least)
@@ -36,7 +35,7 @@ def potentials(pairs: Sequence[tuple[int, int]], energies: Sequence[float]) -> d
 
 
 def with_penalties(graph: Mapping[str, Any], car: str, speed: float) -> dict[str, Any]:
-    """The graph, with kWh as penalties; `speed`, m/s, is of edges that have none of their own."""
+    """The graph, with kWh as penalties; edges without a speed limit are driven at `speed`, m/s."""
     points, edges = {}, []
     for feature in graph["features"]:
         if feature["geometry"]["type"] == "Point":
@@ -56,7 +55,7 @@ def with_penalties(graph: Mapping[str, Any], car: str, speed: float) -> dict[str
     for edge, (begin, end), energy in zip(edges, pairs, energies, strict=True):
         penalty = max(0.0, (energy + potential[begin] - potential[end]) / KWH)
         edge["metadata"] = edge.get("metadata", {}) | {"penalty": penalty}
-        edge.pop("overridable", None)  # where it is false, scorers are not asked
+        edge.pop("overridable", None)  # false would keep scorers from changing the cost
     return dict(graph)
 
 
@@ -65,8 +64,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("graph", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--car", default="generic", help="a vehicle, or the file of one")
-    parser.add_argument("--speed", type=float, default=8.0, help="m/s, where an edge has none")
+    parser.add_argument("--car", default="generic", help="name of a vehicle, or vehicle file")
+    parser.add_argument("--speed", type=float, default=8.0, help="m/s, of edges without a limit")
     given = parser.parse_args()
     graph = with_penalties(json.loads(given.graph.read_text()), given.car, given.speed)
     given.out.write_text(json.dumps(graph))
