@@ -21,12 +21,12 @@ from evpinn_ros.core.signals.road import Conditions
 from evpinn_ros.core.signals.sample import Sample
 from evpinn_ros.core.vehicle.files import Vehicle
 
-LEAST_DISTANCE = 1000.0  # m, before which the prior tells better what a kilometre costs
-MOVING = 0.3  # m/s, below which acceleration is of no use
+LEAST_DISTANCE = 1000.0  # m, below which the prior is used for the energy of a kilometre
+MOVING = 0.3  # m/s, below which acceleration is not used
 
 
 class StepMethod(ABC):
-    """Predicts each step first and learns from it once its power is known; heirs say how."""
+    """Predicts each step, and learns from it once its power is known, as subclasses define."""
 
     pairs = True
 
@@ -99,9 +99,9 @@ class PriorAlone(StepMethod):
 
 
 class EnergyPerKilometre(PriorAlone):
-    """Energy over distance of all that was driven so far; the prior before.
+    """Energy over distance of everything driven so far; at first the prior.
 
-    Its interval is from how much the drives before differ.
+    Its interval follows from the differences between earlier drives.
     """
 
     START, WEIGHT = 0.25, 2.0  # 1-sigma of one drive's consumption over the mean; in drives

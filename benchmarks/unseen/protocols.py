@@ -23,7 +23,7 @@ FIRST_CUT, CUT_STEP, DROPOUT, LONG_DROPOUT = 250.0, 50.0, 200.0, 600.0  # s
 SPARSE_STEP, MANY_HOURS = 200.0, 0.5  # s between cuts of a car with more driving than this, h
 SHORT_DRIVE = 100.0  # s; a drive too short for a dropout of 200 s is cut once, in the middle
 WARM_UP = 120.0  # s of a drive whose online predictions are not scored
-AFTER_END = 10.0  # s that a copy reads on, for predictions that lag
+AFTER_END = 10.0  # s that a copy reads after the end, for predictions that lag
 LEAST_DISTANCE = 100.0  # m; shorter drives are learned from, but not scored as carried
 
 
@@ -54,14 +54,14 @@ class CarRun:
     """Results of a method on one car."""
 
     carried: list[ScoredPart]  # each drive whole, from what the drives before it taught
-    online: list[ScoredPart]  # each drive with the battery, but for the first `WARM_UP` s
-    withheld: list[ScoredPart]  # dropouts of 200 s (shorter where the drive is)
+    online: list[ScoredPart]  # each drive with the battery, except for the first `WARM_UP` s
+    withheld: list[ScoredPart]  # dropouts of 200 s (shorter in short drives)
     long: list[ScoredPart]  # dropouts of 600 s
     combinations: dict[str, Estimate]  # what is known of the car at the end
 
 
 def cuts(drive: UnseenDrive, step: float) -> list[Cut]:
-    """Cuts every `step` s from 250 s on, the last as late as 200 s allow; 600 s where they fit."""
+    """Dropouts of 200 s every `step` s from 250 s on, and of 600 s one after the other."""
     last = drive.duration - DROPOUT
     if last < FIRST_CUT:
         half = drive.duration / 2
@@ -97,7 +97,7 @@ def run_car(car: UnseenCar, factory: Factory, tell: Callable[[float], None]) -> 
 def _through(
     method: Method, drive: UnseenDrive, planned: Sequence[Cut]
 ) -> Iterator[tuple[str, ScoredPart]]:
-    """Go through a drive with the battery; give each dropout and what was predicted online."""
+    """Run a drive with the battery; yields (field of `CarRun`, part) for dropouts and online."""
     waiting = sorted(planned, key=lambda cut: (cut.begin, -cut.length))
     rows: list[Prediction] = []
     track, begin = Track(drive, rows), -1.0
@@ -110,7 +110,7 @@ def _through(
             break
         rows.extend(_predictions(method, readings[first:index]))
         first = index
-        if cut.begin != begin:  # else the longer dropout from there holds the shorter
+        if cut.begin != begin:  # else the longer dropout from there includes the shorter
             track = predicted(copy.deepcopy(method), drive, index, cut.span, rows[-1:])
             begin = cut.begin
         part = "long" if cut.length == LONG_DROPOUT else "withheld"
@@ -125,11 +125,10 @@ def _through(
 def predicted(
     method: Method, drive: UnseenDrive, index: int, span: DrivePart, before: Sequence[Prediction]
 ) -> Track:
-    """Let a method go on from a reading without any battery reading.
+    """Predict `span` from reading `index` on without any battery reading.
 
-    The method is a copy that may be spoilt, `index` that of the first reading that it has not
-    seen, and `span`, s, what is to be predicted. `before` holds the last prediction that was made
-    with the battery, so that the start is covered.
+    `method` is a copy that this call changes; `index` is the first reading that it has not seen.
+    `before` is the last prediction made with the battery, so that the start is covered.
     """
     rows = list(before)
     end_ns = drive.start_ns + int((span.end + AFTER_END) * NANOSECONDS)
@@ -145,15 +144,15 @@ def predicted(
 
 
 def _rest(method: Method) -> Iterator[Prediction]:
-    """What a method that waits for late readings, and has `finish`, predicts when none comes."""
+    """The remaining predictions of a method that has `finish`."""
     finish = getattr(method, "finish", None)
     return iter(()) if finish is None else finish()
 
 
 def _predictions(method: Method, readings: Sequence[Reading]) -> Iterator[Prediction]:
-    """Predictions that readings complete, of anybody's method: of plain tuples or None too.
+    """Predictions that readings complete; a method may return tuples or None.
 
-    A method that has `add_readings` gets them at once.
+    A method that has `add_readings` gets all readings at once.
     """
     at_once = getattr(method, "add_readings", None)
     if at_once is not None:

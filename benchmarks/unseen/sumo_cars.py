@@ -1,12 +1,12 @@
-"""Cars by others: SUMO's driver, traffic and electric powertrains (MMPEVEM) for an hour.
+"""Three electric cars of another simulator, SUMO (MMPEVEM), each for an hour in traffic.
 
 The parameters and loss maps of BMW i3, VW ID.3 and Peugeot e-208 come with `eclipse-sumo`; power
 comes from its emission model (Koch et al., doi 10.1109/ITSC48978.2021.9564463;
-https://sumo.dlr.de/docs/Models/MMPEVEM.html). Of the road only speed and height are given, and no
-noise. A car follows a corridor of town, country and motorway among traffic, ten steps a second.
+https://sumo.dlr.de/docs/Models/MMPEVEM.html). Readings are speed, height and power without noise.
+A car follows a corridor of town, country and motorway among traffic, ten steps a second.
 
-Truth is what the hour's noise-free power determines (`noise_free`): what SUMO's maps lose without
-torque is a force of 30 to 130 N, as much as that of the tyres.
+Truth is what the hour's noise-free power determines (`noise_free`): SUMO's losses without torque
+act as a force of 30 to 130 N, as much as that of the tyres.
 """
 
 from __future__ import annotations
@@ -69,18 +69,18 @@ class Powertrain:
     parameters: dict[str, str]
 
     def __getitem__(self, name: str) -> float:
-        """A number."""
+        """A parameter as a number."""
         return float(self.parameters[name])
 
 
 @dataclass(frozen=True)
 class Corridor:
-    """Pieces of road one after the other: lengths m, limits m/s, stops s; the road's height."""
+    """Pieces of road one after the other."""
 
-    length: np.ndarray
-    limit: np.ndarray
-    stop: np.ndarray
-    road: HillyRoad
+    length: np.ndarray  # m
+    limit: np.ndarray  # m/s
+    stop: np.ndarray  # s at the end
+    road: HillyRoad  # heights
 
 
 def simulate_sumo(key: str) -> tuple[tuple[Reading, ...], np.ndarray]:

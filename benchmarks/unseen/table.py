@@ -28,14 +28,14 @@ TRUTH_COLUMNS = {
 AGES = ("0.1", "1", "10", "60", "600")
 LEGEND = """
 carried       whole drives, each predicted from what the drives before it taught
-200 s, 600 s  so long a part of a drive, its battery hidden
+200 s, 600 s  part of a drive of this length, its battery hidden
 net, gross %  error of the energy in percent of net or gross energy: median; mean
 CRPS %        mean error of the predicted distribution, percent of gross energy
 log           log of the density at the measured energy; larger is better
-in 90 %       share of the 90 % intervals that hold the energy; width: the mean one
+in 90 %       share of the 90 % intervals that contain the energy; width: their median
 RMSE W        of power: every sample, or means over 1, 10 and 60 s
 W, %          RMSE of power, error of energy, by the age of the last battery reading
--             no drive is so long, or the method gives no 1-sigma
+-             no drive is long enough, or the method gives no 1-sigma
 """
 
 
@@ -60,7 +60,7 @@ def energy_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
 
 
 def score_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
-    """Error and width of energies judged together: CRPS in percent of gross, and log score."""
+    """CRPS of energies in percent of gross energy, and log score."""
     headers = [f"{part}:\nCRPS %; log" for part in ("carried", "200 s", "600 s")]
     table = PlainTable("", ("method", *headers))
     for name, scores in methods.items():
@@ -83,7 +83,7 @@ def age_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
 
 
 def truth_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
-    """Bias, percent (W for p_aux), and how often the 95 % interval holds the truth."""
+    """Bias, percent (W for p_aux), and coverage of the 95 % interval."""
     table = PlainTable("", ("bias %; 95 % covers %", *TRUTH_COLUMNS.values()))
     for name, scores in methods.items():
         truth = scores["truth"]

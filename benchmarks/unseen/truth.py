@@ -1,9 +1,8 @@
-"""Estimates of a method against the truth: of simulated cars, and of one by its dynamometer.
+"""Estimates of a method against the truth of simulated cars, and of one on a dynamometer.
 
 `mass_over_eta` kg, `regeneration` (eta mu), `rolling_over_eta` (C_rr m/eta, kg),
 `drag_area_over_eta` (A C_d/eta, m^2) by the definitions of `simulation.truth`; `p_aux` W is the
-standing load alone: losses that the drivetrain has because it turns are not drawn by a standing
-car.
+load of the standing car, without the losses of a turning drivetrain.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ KINDS = {
 }
 DRIVES, SECONDS, FIRST_SEED = 12, 600.0, 9000
 QUANTILE_95 = 1.96
-# One simulated car of ours on many drives: its model, the seed, and where it drives in turn.
+# One of our simulated cars on many drives: vehicle file, seed and number of drives.
 CARRIED_VEHICLE, CARRIED_SEED, CARRIED_DRIVES = "nissan_leaf", 9100, 8
 ETA = 0.92
-DENSITY = 1.2  # kg/m^3 that drag is told at
+DENSITY = 1.2  # kg/m^3 of the given drag
 KMH_PER_MPS = 3.6
 
 
@@ -49,7 +48,7 @@ class Error(NamedTuple):
 
 
 def errors(estimates: Mapping[str, Estimate], truth: Mapping[str, float]) -> dict[str, Error]:
-    """Errors of what a method says of a car, by name; of what is known of both."""
+    """Errors of a method's estimates, by name, where the truth is known."""
     known = [name for name in NAMES if name in estimates and name in truth]
     return {name: _error(name, estimates[name], truth[name]) for name in known}
 

@@ -1,7 +1,7 @@
 """Sequential least squares in the weak form, with a prior: the baseline to beat.
 
-Mean battery power over an interval is linear in what is asked, because kinetic energy and height
-are exact differences over it:
+Mean battery power over an interval is linear in the coefficients th, because kinetic energy and
+height are exact differences over it:
 
     P = th0 rho v^3 / 2 + th1 g v + th2 e+ + th3 e- + th4 + th5 R- + th6 (e/v)^2 + th7 [v > 0]
         + th8 known + th9 cold + th10 g v cold + th11 + th12 g v
@@ -30,7 +30,7 @@ from evpinn_ros.core.vehicle.physics import GRAVITY
 
 MOVING = 0.3  # m/s
 MILD = 20.0  # degrees Celsius
-INTERVALS = ((0.5, 6.0), (3.0, 10.0), (math.inf, 20.0))  # s: for steps up to so long, intervals
+INTERVALS = ((0.5, 6.0), (3.0, 10.0), (math.inf, 20.0))  # s: longest step, length of an interval
 # Of what the vehicle file does not say, value and 1-sigma: th5 (of the share that comes back),
 # th6 W/(m/s^2)^2, th7 W, th8, th9 W, th10 and th12 (of the rolling force), th11 W.
 LOST_ROAD_LOAD, COPPER, DRIVELINE, REPORTED = 0.3, (300.0, 300.0), (250.0, 150.0), (0.95, 0.2)
@@ -44,7 +44,7 @@ DRIVES_WEIGHT, MOST = 4.0, 9.0  # drives that the start of the scale counts for;
 
 
 class WeakFormLeastSquares:
-    """The filter of the module's text."""
+    """The filter of the module's docstring."""
 
     pairs = True
 
@@ -90,7 +90,7 @@ class WeakFormLeastSquares:
         self._last_ns = 0
 
     def begin_next_drive(self) -> None:
-        """Forget the drive, let the car drift a little, and learn from how wrong the drive was."""
+        """Forget the drive's own states, add drift, and scale sigmas by the drive's error."""
         mean, covariance = self._start
         if self._drive_energy:
             variance = self._drive @ covariance @ self._drive + self._drive_variance
@@ -198,8 +198,8 @@ class WeakFormLeastSquares:
     def combinations(self) -> Mapping[str, Estimate]:
         """The combinations of the car's parameters.
 
-        1/eta holds the loss with force squared, by its share of the energy that was spent in
-        driving so far; so does the share that comes back in braking.
+        1/eta and the share returned by braking include the loss with force squared, by its share
+        of the energy spent in driving so far.
         """
         combined = self._combined(self.mean)
         gradient = np.array(
