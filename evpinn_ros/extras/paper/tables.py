@@ -77,12 +77,12 @@ def power_loss_table(outcome: Outcome) -> ResultTable:
         rows.append([f"{epoch} V", *(x for row in both for x in _losses(row and row.validation))])
     columns = ["epoch", *Losses._fields, *(f"paper: {name}" for name in Losses._fields)]
     note = (
-        "T training, V validation, under the paper's random split. Power normalised to [-1, 1]; "
-        "physics holds lambda = 0.1. The paper does not state its normalisation. Epoch n is after "
+        "T training, V validation, under the paper's random split. Power is normalised to "
+        "[-1, 1], which the paper does not state; physics includes lambda = 0.1. Epoch n is after "
         "the n-th step."
     )
     if key != outcome.vehicle.key:
-        note = f"The paper's drive is of another car than this {outcome.vehicle.name}. {note}"
+        note = f"The paper's drive is not of a {outcome.vehicle.name}. {note}"
     name = outcome.settings.optimizer.value
     title = f"Table {number}: loss of the power network ({name}), paper: {load_vehicle(key).name}"
     return ResultTable(title, columns, rows, note)
@@ -103,8 +103,8 @@ def energy_loss_table(outcome: Outcome) -> ResultTable:
         ["epoch", "RKNN", "DNN", "paper RKNN", "paper DNN"],
         rows,
         "Energy of a step over its RMS. P(t + dt/2) is the mean of both ends. Epoch n is before "
-        "the n-th step. One epoch's value is luck: at a constant rate late losses jump a "
-        "hundredfold, see Fig. 8.",
+        "the n-th step. A single epoch is accidental: at a constant learning rate, late losses "
+        "vary a hundredfold, see Fig. 8.",
     )
 
 
@@ -119,9 +119,9 @@ def parameter_table(outcome: Outcome) -> ResultTable:
             {} if published is None else published._asdict(),
             outcome.regression._asdict(),
         ),
-        "The paper calls the distance from the initial guess an error; no truth is known. "
-        "Prior: share of the variance that the data did not take away; from data: whether they "
-        "determine it, which they cannot for eta, mass and C_d alone. Fit: eq. 21 by least "
+        "The paper calls the distance from the initial guess an error, but the truth is unknown. "
+        "Prior: share of the prior's variance that is left; from data: whether the data determine "
+        "the value, which is impossible for eta, mass or C_d by itself. Fit: eq. 21 by least "
         "squares, without a network.",
     )
 
@@ -138,8 +138,8 @@ def combination_table(outcome: Outcome) -> ResultTable:
             {} if published is None else combinations(published, area, form),
             combinations(outcome.regression, area, form),
         ),
-        "(eta, mass, C_d) scaled together, and in the form wheel_power mu the other way, change "
-        "no power: only these combinations enter eq. 21.",
+        "Scaling eta, mass and C_d by the same factor, and mu by its inverse in the form "
+        "wheel_power, changes no power: only these combinations enter eq. 21.",
     )
 
 
@@ -174,7 +174,7 @@ def vehicle_table(outcome: Outcome) -> ResultTable:
         "Table VI: compared with other vehicles",
         ["vehicle", "eta", "mass, kg", "C_rr", "C_d"],
         rows,
-        "As the paper prints it, and the priors of the vehicle file that comes with this package.",
+        "The paper's values, and the priors of this package's vehicle files.",
     )
 
 
@@ -195,8 +195,8 @@ def power_table(outcome: Outcome) -> ResultTable:
         "Power on data not trained on",
         ["method", "scored on", "RMSE, W", "MAE, W", "R\u00b2", "energy"],
         rows,
-        "With a random split, interpolation in time between neighbours knows nothing of cars; a "
-        "method that is no better proves nothing. The last 20 % lies outside the training. "
+        "With a random split, interpolation in time between neighbours needs no model of the car; "
+        "a method that is no better proves nothing. The last 20 % is outside the training. "
         f"{_beyond(outcome)} `printed` is eq. 21 to the letter, `recovery` the reading that "
         "Table V implies.",
     )
@@ -222,10 +222,10 @@ def energy_table(outcome: Outcome) -> ResultTable:
     ]
     return ResultTable(
         "Energy of the drive",
-        ["how", "energy", "off"],
+        ["method", "energy", "error"],
         rows,
-        "The network's power was trained on 80 % of this very drive. dE/dt = P knows no E, so RK4 "
-        "is Simpson's rule and no network can beat it.",
+        "The network's power was trained on 80 % of this drive. dE/dt = P does not depend on E, "
+        "so RK4 is Simpson's rule, which no network can improve.",
     )
 
 
@@ -235,9 +235,9 @@ def _beyond(outcome: Outcome) -> str:
     powers = (power[rows] / 1000.0 for power in (outcome.unseen_power, outcome.log.power))
     network, measured = (f"{power.min():.0f} to {power.max():.0f} kW" for power in powers)
     return (
-        "Time is an input of the network, and there each time is later than all it was trained "
-        f"on: it gives {network}, measured are {measured}. `time held` asks it for the last time "
-        "that it was trained on."
+        "Time is an input of the network, and every time there is later than those it was trained "
+        f"on: it predicts {network}; {measured} were measured. `time held` gives it the last "
+        "trained time instead."
     )
 
 

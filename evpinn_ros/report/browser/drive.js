@@ -1,5 +1,5 @@
-// Draws the plots of a drive's report with uPlot. What they hold is made by drive_charts.py
-// and drive_maps.py; each is drawn into the element that names it by data-plot.
+// Draws the plots of a drive's report with uPlot. drive_charts.py and drive_maps.py make their
+// data; each is drawn into the element that names it by data-plot.
 "use strict";
 (() => {
   const plots = JSON.parse(document.getElementById("plots").textContent);
@@ -49,7 +49,7 @@
   const timeSeries = { label: "time", value: (_, s) => (s == null ? "" : clock(s, true)) };
   const asGiven = (_, low, high) => [low, high];
 
-  // Plots over time of one drive share the part of it that is shown, and the cursor.
+  // Plots over time of one drive share their zoom and cursor.
   const follow = (group) => (u, key) => {
     if (key !== "x") return;
     const { min, max } = u.scales.x;
@@ -63,7 +63,7 @@
       if (other !== u && (x.min !== min || x.max !== max)) other.setScale("x", { min, max });
     }
   };
-  // uPlot asks with the ends of the data when nothing is chosen: then the whole drive is shown.
+  // Without a zoom, uPlot asks with the ends of the data: then the whole drive is shown.
   const wholeOr = (group) => (u, low, high) => {
     const times = u.data[0];
     const chosen = low !== times[0] || high !== times[times.length - 1];
@@ -82,7 +82,7 @@
   // uPlot leaves its last style behind, and counts on finding it again.
   const tidy = (ctx, work) => { ctx.save(); ctx.lineCap = "butt"; work(); ctx.restore(); };
 
-  // What happened, behind the curves: shaded parts, and a line for each event.
+  // Behind the curves: shaded parts, and a line for each event.
   const context = (u, group) => tidy(u.ctx, () => {
     const { left, top, width, height } = u.bbox, ratio = devicePixelRatio;
     u.ctx.beginPath(); u.ctx.rect(left, top, width, height); u.ctx.clip();
@@ -161,7 +161,7 @@
     return [options, data];
   };
 
-  // Energy of each part: the band of its forecast, and a line where it came out.
+  // Energy of each part: the band of its forecast, and a line at the measured energy.
   const outcome = (spec, group) => {
     const { parts } = spec;
     const data = [parts.map((p) => (p[0] + p[1]) / 2), parts.map((p) => p[3] - p[4]),
@@ -258,7 +258,7 @@
     }, data];
   };
 
-  // Cells of speed and acceleration, coloured by what they hold.
+  // Cells of speed and acceleration, coloured by their value.
   const cells = (spec) => {
     const values = unpack(spec.values), [columns, rows] = spec.shape;
     const [width, height] = spec.cell, [x0, y0] = spec.first;
@@ -301,11 +301,11 @@
     }, [[x0, x0 + columns * width], high < 0 ? [-1, 1] : [y0 + low * height, y0 + (high + 1) * height]]];
   };
 
-  // A finger that moves sideways zooms as the mouse does; up and down it scrolls the page.
+  // A finger that moves sideways zooms like the mouse; up and down it scrolls the page.
   const touch = (over) => {
     const send = (type, event) => {
       const { clientX, clientY } = event.changedTouches[0];
-      // uPlot takes a mouse that has not moved for a stray event.
+      // uPlot ignores a mouse event without a movement.
       over.dispatchEvent(new MouseEvent(type, { clientX, clientY, movementX: 1, bubbles: true }));
     };
     over.addEventListener("touchstart", (e) => { send("mousemove", e); send("mousedown", e); }, { passive: true });
@@ -313,7 +313,7 @@
     over.addEventListener("touchend", (e) => send("mouseup", e), { passive: true });
   };
 
-  // The road, coloured by power: of the whole drive, and strongly of the stretch that is shown.
+  // The road, coloured by power: pale for the whole drive, strong for the shown part.
   const route = (spec, group) => {
     const [time, east, north, power] = ["time", "east", "north", "power"].map((k) => unpack(spec[k]));
     const side = (values) => {
@@ -321,7 +321,7 @@
       return { middle: (low + high) / 2, span: Math.max(high - low, 0.05) };
     };
     const x = side(east), y = side(north);
-    // As many pixels to the east as to the north; what axes and padding take is left out.
+    // Equal scales to the east and to the north, without the space of axes and padding.
     const inside = (u) => [Math.max(u.width - 76, 100), Math.max(u.height - 60, 100)];
     const range = (of, index) => (u) => {
       const sizes = inside(u), scale = 1.06 * Math.max(x.span / sizes[0], y.span / sizes[1]);
@@ -362,7 +362,7 @@
     }, [[x.middle - x.span, x.middle + x.span], [y.middle, y.middle]]];
   };
 
-  // What is shown of a drive in figures: of the whole, or of the stretch that was zoomed to.
+  // Figures of the shown part of a drive.
   const teller = (section, drive) => {
     const { step, ...totals } = drive.totals, { units } = drive;
     const [distance, recorded, known, energy] = ["distance", "seconds", "known", "energy"]
