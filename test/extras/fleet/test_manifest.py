@@ -133,7 +133,7 @@ def test_csv(data):
     [
         ("drive,car\n", ":1: the columns must be drive, car, vehicle"),
         ("drive,car,vehicle\ndata/bob,b\n", ":2: expected drive, car, vehicle"),
-        ("drive,car,vehicle\ndata/bob,b,bmw_i3\ndata/bob,c,bmw_i3\n", ":3: .* already belongs to 'b'"),
+        ("drive,car,vehicle\ndata/bob,b,bmw_i3\ndata/bob,c,bmw_i3\n", ":3: .* belongs to 'b'"),
         ("drive,car,vehicle\ndata/bob,b,bmw_i3\ndata/ann,b,bmw_i4\n", ":3: car 'b' is a bmw_i4"),
         ("drive,car,vehicle\ndata/bob,..,bmw_i3\n", "cannot be named '..'"),
     ],
