@@ -440,7 +440,7 @@ def _command_section(path: str, command: Any) -> Iterator[str]:
         yield from ("", text) if example == text else ("", "```bash", example, "```")
     every = list(_declared(command))
     lines = [
-        _option_line(option.opts, declared)
+        _option_line([*option.opts, *option.secondary_opts], declared)
         for option, declared in every
         if declared.annotation not in SHARED
     ]

@@ -213,7 +213,12 @@ class EnergyNode(GuardedNode):
         self._learn(lambda forecaster: forecaster.set_air(reading, now_ns))
 
     def _on_conditions(self, message: Any) -> None:
-        conditions = read_conditions(message)
+        try:
+            conditions = read_conditions(message)
+        except BadMessage as error:  # or its planner would take the next answer for that to it
+            text = f"plan/conditions refused ({error.__cause__ or error}); those before hold"
+            self.notice(topics.CONDITIONS.name, text)
+            raise
         self._learn(lambda forecaster: forecaster.set_conditions(conditions))
 
     def _learn(self, update: Job) -> None:

@@ -275,6 +275,8 @@ def test_plans_after_it_take_the_conditions(bench):
     cold = cost()
     bench.deliver(node, topics.CONDITIONS, conditions(temperature=300.0))  # refused, and counted
     assert cost() == cold > 1.1 * mild
+    refused = "plan/conditions refused (temperature is 300, not -60 to 60); those before hold"
+    assert any(refused in status[1] for status in bench.diagnosis(node).values())
     bench.pump(lambda: len(bench.heard[topics.FORECAST_STATUS]) > 0)
     values = {
         value.key: value.value
