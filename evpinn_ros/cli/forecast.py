@@ -176,7 +176,8 @@ def forecast(
         say(f"{', '.join(alike)}: {text}.")
     basis = "by its vehicle file alone" if state is None else f"as learned in {state}"
     better = "; --state FILE uses what earlier drives taught" if state is None else ""
-    say(f"{vehicle}, {basis}{better}.")
+    name = load_vehicle(vehicle).name
+    say(f"{name}, {basis}{better}.")
     record = forecasts[0].record
     if record is not None:
         say(record)
@@ -194,7 +195,7 @@ def forecast(
             PlannedTrip(name, planned, what_if(planned.given, car, given, shown))
             for name, planned in zip(names, forecasts, strict=True)
         ]
-        assumed = " ".join(filter(None, (f"{vehicle}, {basis}.", record, expected, battery)))
+        assumed = [line for line in (f"{name}, {basis}.", record, expected, battery) if line]
         write_forecasts(report, shown_trips, assumed, command_line(), shown)
     if json_file is not None:
         write_json(json_file, rows)

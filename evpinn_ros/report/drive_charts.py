@@ -27,7 +27,7 @@ from evpinn_ros.report.breakdown_text import (
     least_of,
     shown,
 )
-from evpinn_ros.report.shapes import IntervalRow, interval_rows
+from evpinn_ros.report.shapes import IntervalRow, interval_rows, with_interval
 from evpinn_ros.report.thinning import Grid, grid_for, packed, thinned
 
 KILO = 1000.0
@@ -236,12 +236,11 @@ def _row(name: str, part: Mapping[str, float], digits: int, units: Units) -> Int
     """A part with its 90 % interval; the text also has the energy over distance."""
     kwh, half = part["kwh"], GAUSSIAN_QUANTILE * part["sigma_kwh"]
     least = least_of(name)
-    value, low, high = (
-        fixed(limit, digits) for limit in (kwh, max(kwh - half, least), kwh + half)
-    )
     rate = part["kwh_per_100km"]
     per_distance = ""
     if rate is not None:
         shown_rate = rate * METRIC.rate_joules / units.rate_joules
         per_distance = f"; {fixed(shown_rate, 1 if units is METRIC else 0)} {units.rate}"
-    return IntervalRow(name, f"{value} kWh ({low} to {high}){per_distance}", kwh, half, least)
+    return IntervalRow(
+        name, with_interval(kwh, half, digits, least) + per_distance, kwh, half, least
+    )

@@ -17,10 +17,10 @@ from evpinn_ros.core.estimation.terms import Part
 from evpinn_ros.replays.energy_metrics import MEANINGS
 from evpinn_ros.report.breakdown_text import least_of
 from evpinn_ros.report.html import write_page
-from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows
+from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows, with_interval
 
 POINTS = 400  # of a curve: more than a narrow page has pixels
-LEAST_SHOWN = 0.0005  # kWh; less would be shown as 0.000
+SMALL_PLAN = 0.5  # kWh; below, energies have a third digit, as in the report of a drive
 
 
 class PlannedTrip(NamedTuple):
@@ -32,7 +32,11 @@ class PlannedTrip(NamedTuple):
 
 
 def write_forecasts(
-    path: Path, trips: Sequence[PlannedTrip], assumed: str, command: str, units: Units = METRIC
+    path: Path,
+    trips: Sequence[PlannedTrip],
+    assumed: Sequence[str],
+    command: str,
+    units: Units = METRIC,
 ) -> None:
     """Write the page, with the sentences `assumed` on car and conditions; OSError if it fails."""
     names = " and ".join(trip.name for trip in trips)
@@ -49,7 +53,11 @@ def _trip(trip: PlannedTrip, units: Units) -> dict[str, Any]:
         "curves": list(_curves(trip.planned, units)),
         "parts": _parts(trip.planned),
         "changes": [
-            (change.words, f"{fixed(change.seconds / 60, 1, '+')} min", _kwh(change.energy, "+"))
+            (
+                change.words,
+                _later(change.seconds),
+                _kwh(change.energy, _digits(trip.planned), sign="+", unit=""),
+            )
             for change in trip.changes
         ],
     }
@@ -128,22 +136,36 @@ def _parts(planned: PlannedEnergy) -> list[dict[str, Any]]:
     """Values for the macro `intervals`, the largest part first, with 90 % intervals."""
     parts = plan_parts(planned.given, planned.energies, *planned.basis)
     names = [MEANINGS[part.name.lower()] for part in Part] + [UNEVEN]
+    least_shown = 0.5 * 10.0 ** -_digits(planned) * JOULES_PER_KWH
     rows = [
         (name, Uncertain(energy, sigma))
         for part, (name, energy, sigma) in enumerate(zip(names, *parts, strict=True))
-        if part != Part.REGAINED and max(abs(energy), sigma) > LEAST_SHOWN * JOULES_PER_KWH
+        if part != Part.REGAINED and max(abs(energy), sigma) > least_shown
     ]
     rows.sort(key=lambda row: -row[1].value)
     return interval_rows(
         [
             IntervalRow(
-                name, _kwh(amount), amount.value, GAUSSIAN_QUANTILE * amount.sigma, least_of(name)
+                name,
+                _kwh(amount, _digits(planned), least=least_of(name)),
+                amount.value,
+                GAUSSIAN_QUANTILE * amount.sigma,
+                least_of(name),
             )
             for name, amount in rows
         ]
     )
 
 
-def _kwh(energy: Uncertain, sign: str = "") -> str:
+def _digits(planned: PlannedEnergy) -> int:
+    return 2 if abs(planned.energies.energy[-1]) >= SMALL_PLAN * JOULES_PER_KWH else 3
+
+
+def _kwh(energy: Uncertain, digits: int, **shape: Any) -> str:
     value, sigma = energy.value / JOULES_PER_KWH, energy.sigma / JOULES_PER_KWH
-    return f"{fixed(value, 3, sign)} +- {sigma:.3f} kWh"
+    return with_interval(value, GAUSSIAN_QUANTILE * sigma, digits, **shape)
+
+
+def _later(seconds: float) -> str:
+    minutes = fixed(seconds / 60, 1, "+")
+    return "the same" if minutes == "+0.0" else f"{minutes} min"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evpinn_ros.common.units import METRIC, Units, counted
+from evpinn_ros.common.units import METRIC, Units, counted, fixed
 from evpinn_ros.replays.trends import DrivePoint, Trend, trends
 
 MOST_TICKS = 6
@@ -92,6 +92,20 @@ class IntervalRow(NamedTuple):
     def low(self) -> float:
         """Lower end of the interval."""
         return max(self.value - self.half, self.least)
+
+
+def with_interval(
+    kwh: float,
+    half: float,
+    digits: int,
+    least: float = -math.inf,
+    sign: str = "",
+    unit: str = " kWh",
+) -> str:
+    """Energy with the ends of its interval in brackets: `0.93 kWh (0.81 to 1.06)`."""
+    ends = (max(kwh - half, least), kwh + half)
+    low, high = (fixed(end, digits, sign) for end in ends)
+    return f"{fixed(kwh, digits, sign)}{unit} ({low} to {high})"
 
 
 def interval_rows(rows: Sequence[IntervalRow]) -> list[dict[str, Any]]:

@@ -133,7 +133,7 @@ def test_units_of_the_us_leave_nothing_metric_and_change_no_number(evpinn, folde
     page = (folder / "us.html").read_text()
     seen = re.sub(r"<style>.*?</style>", "", ended.stdout + page, flags=re.DOTALL)
     assert not re.search(r"\bkm\b|km/h|°C|, m\b", seen)
-    assert f"{CAR}, by its vehicle file alone" in page and "kWh when full" in page
+    assert "Model 3 Long Range, by its vehicle file alone" in page and "kWh when full" in page
     assert "mi/kWh" in ended.stdout and "68 °F" in ended.stdout and "mph slower" in page
     assert rows["us"] == rows["metric"]
     miles = rows["us"][0]["distance_m"] / 1609.344

@@ -217,7 +217,7 @@ def test_a_page_tells_a_driver_no_options(tmp_path):
     planned = planned_energy(FEW, "bmw_i3", PlanConditions(charge=0.8))
     assert planned.uneven_part
     write_forecasts(
-        tmp_path / "p.html", [PlannedTrip("trip", planned, ())], "Mild.", "evpinn", METRIC
+        tmp_path / "p.html", [PlannedTrip("trip", planned, ())], ["Mild."], "evpinn", METRIC
     )
     body = (tmp_path / "p.html").read_text().partition("<body>")[2]
     assert not re.findall(r"(?<=\s)--?[a-z]\w*", body)

@@ -119,7 +119,7 @@ class Air(NamedTuple):
 
 
 UNKNOWN_AIR = Air()
-UNEVEN = "speeding up and braking between the points"
+UNEVEN = "speeding up and braking that the plan does not show"
 # Share of the vehicle file's 1-sigma that is left for a plan, from which on a note says so.
 HARDLY_DRIVEN = 0.7
 EMPTY = 1e-6  # state of charge; less is rounding
@@ -230,8 +230,8 @@ class PlannedEnergy(NamedTuple):
         part = f" for {unseen / metres:.1f} of {whole / metres:.1f} {units.distance}"
         part = "" if unseen > (1.0 - SHORT_OF_HEIGHTS) * whole else part
         return (
-            f"no heights{part}: a level road is assumed; the 1-sigma allows for hills like those "
-            "of earlier drives"
+            f"no heights{part}: a level road is assumed; the uncertainty allows for hills like "
+            "those of earlier drives"
         )
 
     @property
@@ -245,7 +245,7 @@ class PlannedEnergy(NamedTuple):
         )
         if not car.record.drives or learned < HARDLY_DRIVEN**2 * file:
             return None
-        return "this car has hardly driven so, and the 1-sigma is mostly that of its vehicle file"
+        return "this car has hardly driven so; the uncertainty is mostly that of its vehicle file"
 
     @property
     def record(self) -> str | None:
