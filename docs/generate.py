@@ -95,7 +95,7 @@ READING = """\
 `evpinn replay ... --metrics FILE` writes these scores as JSON: one object for one drive, a
 list of them for several, whose last has the `totals`, `breakdown` and `trends` of all under
 `together`. To a file that ends in `.csv` it writes a table: a column for each key, a row for each
-drive, and one of all.
+drive, and one of all; trends go to `FILE_trends.csv` beside it.
 `trends` has a row for each week or temperature with consumption, rolling resistance and capacity,
 of three drives of a kilometre or more: `trend` (quantity and unit), `group`, `drives`,
 `distance_m`, `mean` (weighted by distance) and `spread` of single drives (1-sigma). A part in <>

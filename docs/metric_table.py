@@ -103,7 +103,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("totals.charged_kwh", "kWh", "what a charger gave the car while it stood in a drive"),
     Metric("totals.charge_first_percent", "%", "first state of charge"),
     Metric("totals.charge_last_percent", "%", "last state of charge"),
-    Metric("health.percent", "%", "state of health of the battery, known at the end"),
+    Metric("health.percent", "%", "state of health of the battery; null where clearly above 100"),
     Metric("health.sigma_percent", "%", "its 1-sigma"),
     Metric("health.capacity_kwh", "kWh", "energy of the full battery"),
     Metric("health.capacity_sigma_kwh", "kWh", "its 1-sigma"),

@@ -105,7 +105,10 @@ JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_check_json_file)
 ]
 TABLE_SUFFIX = ".csv"
-_METRICS_HELP = f"{_JSON_HELP} A {TABLE_SUFFIX} file gets a table with one row per drive."
+_METRICS_HELP = (
+    f"{_JSON_HELP} A {TABLE_SUFFIX} file gets a table with one row per drive, and FILE_trends.csv "
+    "the trends."
+)
 MetricsOption = Annotated[
     Path | None, typer.Option("--metrics", "--json", help=_METRICS_HELP, callback=_check_json_file)
 ]

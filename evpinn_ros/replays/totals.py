@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import csv
 from datetime import datetime, timezone
 from io import StringIO
@@ -51,10 +51,14 @@ def _start(drive: Drive) -> str | None:
 
 
 def health(gauge: ChargeGauge) -> dict[str, float | None]:
-    """Values of `--metrics` under `health`: None until the charge has changed enough."""
+    """Values of `--metrics` under `health`: None until the charge has changed enough.
+
+    The percentage is also None where the vehicle file contradicts it, as in the texts.
+    """
     if not gauge.learned:
         return dict.fromkeys(("percent", "sigma_percent", "capacity_kwh", "capacity_sigma_kwh"))
-    percent, spread = (100.0 * share if gauge.health.known else None for share in gauge.health)
+    told = gauge.health.known and not gauge.contradicted
+    percent, spread = (100.0 * share if told else None for share in gauge.health)
     capacity, sigma = map(_kwh, gauge.capacity)
     return {
         "percent": percent,
@@ -71,6 +75,9 @@ def with_left_out(breakdown: Mapping[str, Any], total: Mapping[str, Any]) -> dic
     return {**breakdown, "left_out_kwh": left}
 
 
+FIRST = ("input.path", "totals", "health")  # columns of the table that an owner looks for
+
+
 def metrics_csv(drives: Sequence[Mapping[str, Any]]) -> str:
     """The metrics as CSV: a row for each drive and one for all; columns have dotted keys."""
     alone = ({key: value for key, value in d.items() if key != "together"} for d in drives)
@@ -78,7 +85,19 @@ def metrics_csv(drives: Sequence[Mapping[str, Any]]) -> str:
     if (together := drives[-1].get("together")) is not None:
         of_all = {"input": {"path": f"all {len(drives)}"}, **together}
         rows.append(dict(_leaves({**of_all, "health": drives[-1]["health"]})))
-    table = csv.DictWriter(text := StringIO(), list(dict.fromkeys(chain.from_iterable(rows))))
+    keys = dict.fromkeys(chain.from_iterable(rows))
+    columns = [key for first in FIRST for key in keys if f"{key}.".startswith(f"{first}.")]
+    return _csv(rows, [*dict.fromkeys((*columns, *keys))])
+
+
+def trends_csv(drives: Sequence[Mapping[str, Any]]) -> str | None:
+    """The trends of all drives as CSV, a row for each group; None if there are none."""
+    trends = (drives[-1].get("together") or {}).get("trends")
+    return _csv(trends, list(trends[0])) if trends else None
+
+
+def _csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    table = csv.DictWriter(text := StringIO(), columns)
     table.writeheader()
     table.writerows(rows)
     return text.getvalue()

@@ -16,7 +16,7 @@ from exports import simulated
 from docs.metric_table import METRICS
 from evpinn_ros.replays.car import CarReplay
 from evpinn_ros.replays.run import ReplayOptions
-from evpinn_ros.replays.totals import metrics_csv
+from evpinn_ros.replays.totals import metrics_csv, trends_csv
 from evpinn_ros.report.breakdown_text import breakdown_lines
 from evpinn_ros.report.owner_text import drives_rows, owner_line
 
@@ -70,6 +70,8 @@ def test_totals_of_two_drives_add_up(tmp_path):
     assert float(table[-1]["health.percent"] or "nan") == pytest.approx(
         drives[-1]["health"]["percent"] or math.nan, nan_ok=True
     )
+    assert [*table[0]][:2] == ["input.path", "totals.start"]
+    assert trends_csv(drives) is None  # of two drives
     documented = {re.sub("<.*?>", "*", metric.key) for metric in METRICS}
     assert all(any(fnmatch(key, pattern) for pattern in documented) for key in table[0])
     total = of_all["totals"]

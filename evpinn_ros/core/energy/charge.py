@@ -127,6 +127,11 @@ class ChargeGauge(Saveable[SavedGauge]):
             return UNKNOWN
         return Uncertain(*(joules / self._prior.value for joules in self.capacity))
 
+    @property
+    def contradicted(self) -> bool:
+        """True if the capacity is more than that of the vehicle file: one of the two is wrong."""
+        return self.health.value - OUTLIER * self.health.sigma > 1.0
+
     def is_new(self, charge: float, unmeasured_s: float | None) -> bool:
         """True if `update` would change anything but the newest stamp."""
         last, anchor = self._last, self._anchor
