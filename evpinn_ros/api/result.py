@@ -169,6 +169,7 @@ class Result:
             self.options,
             "evpinn_ros.replay",
             gauge=self.account.gauge,
+            record=None if self.rested is None else self.rested.record.sentence,
         )
 
 

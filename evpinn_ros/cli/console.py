@@ -122,6 +122,16 @@ def progress_bar(title: str, total: float | None, unit: str = DRIVE_SECONDS) -> 
         yield lambda done, word="": bar.update(task, completed=done, word=word)
 
 
+@contextmanager
+def working(title: str) -> Iterator[None]:
+    """Show a spinner on a terminal while work of unknown length runs."""
+    if not notes.is_terminal:
+        yield
+        return
+    with notes.status(Text(printable(title))):
+        yield
+
+
 def track(title: str, items: Collection[Item], unit: str) -> Iterator[Item]:
     """Yields the items, and shows progress if there are two or more."""
     if len(items) < 2:

@@ -19,6 +19,7 @@ from evpinn_ros.cli.console import (
     say,
     show,
     track,
+    working,
     write_json,
     writing,
 )
@@ -52,17 +53,16 @@ from evpinn_ros.replays.drive_names import short_names
 from evpinn_ros.replays.history import Drive
 from evpinn_ros.replays.run import WARM_UP, Replayed, ReplayOptions, has_battery, output_folders
 from evpinn_ros.replays.simulation.truth_file import read_truth
-from evpinn_ros.replays.totals import metrics_csv
+from evpinn_ros.replays.totals import metrics_csv, trends_csv
 from evpinn_ros.report.breakdown_text import breakdown_columns, breakdown_lines, breakdown_rows
 from evpinn_ros.report.dropped_text import dropped_text
 from evpinn_ros.report.owner_text import (
-    SCORES,
     drives_columns,
     drives_rows,
     health_line,
     owner_line,
     owner_notes,
-    record_note,
+    scores_note,
 )
 from evpinn_ros.report.tables import (
     SCORE_COLUMNS,
@@ -135,7 +135,8 @@ def replay(
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
-    check_outputs((metrics, report, state, out), (*inputs, params, Path(vehicle)))
+    trends = _trends_beside(metrics) if metrics and metrics.suffix == TABLE_SUFFIX else None
+    check_outputs((metrics, trends, report, state, out), (*inputs, params, Path(vehicle)))
     with StateClaim(state):
         car = CarReplay(
             vehicle,
@@ -156,7 +157,7 @@ def replay(
             for _ in range(loop - 1)
             for opened_source in _opened(open_input, inputs, whole)[0]
         )
-        check_outputs((metrics, report))  # now that every file of the inputs was opened
+        check_outputs((metrics, trends, report))  # now that every file of the inputs was opened
         with Interruption() as interruption:
             try:
                 paths = [source.path for source in first] * loop
@@ -187,7 +188,7 @@ def replay(
             show(parameter_table(car.results[-1].metrics))
             say("To see these drives side by side, use evpinn compare.")
         say(health_line(car.chain.account.gauge, [result.drive for result in car.results]))
-        if (line := record_note(car.results[-1].drive)) is not None:
+        if (line := car.record()) is not None:
             say(line)
         for line in unreadable:
             note(f"evpinn: not replayed: {line}")
@@ -209,7 +210,8 @@ def _opened(
         except InputError as error:
             unreadable.append(str(error))
     explain_columns(logs)
-    drives = logs if whole else joined(logs)
+    with working("finding drives that go on in the next file"):
+        drives = logs if whole else joined(logs)
     if len(drives) < len(logs):
         note(f"{len(logs)} files make {len(drives)} logs: some continue the file before them")
     for log in track("finding trips", drives, "logs"):
@@ -238,7 +240,10 @@ def _replay(
             writer = stack.enter_context(BagWriter(folder))
         seconds = car.options.seconds_of(source.seconds)
         progress = stack.enter_context(progress_bar(source.path.name, total=seconds))
-        return car.replay(source, writer=writer, progress=progress, stopped=stopped)
+        replayed = car.replay(source, writer=writer, progress=progress, stopped=stopped)
+        if seconds is not None and not stopped():
+            progress(seconds)  # also where the rest of the drive has no reading that counts
+        return replayed
 
 
 def _show_briefly(
@@ -298,9 +303,11 @@ def _show_together(car: CarReplay, units: Units) -> None:
         for name, result in zip(names, car.results, strict=True)
     ]
     rows = drives_rows(named, breakdown, units)
-    table = PlainTable("Drives", drives_columns(units), rows, words=("took most",))
+    columns = drives_columns(units)
+    # A name that folds would be read as two.
+    table = PlainTable("Drives", columns, rows, words=("took most",), unbroken=columns[:1])
     show(table, at_least=WIDE)
-    say(SCORES)
+    say(scores_note(rows))
     _show_breakdown(breakdown, units, "the energy of all drives")
 
 
@@ -343,7 +350,7 @@ def _write(
     for path, write in jobs:
         try:
             if path is not None:
-                with as_input_error(path, ValueError):
+                with as_input_error(path, ValueError), working(f"writing {path}"):
                     write(path)
         except InputError as error:
             problems += 1
@@ -356,8 +363,14 @@ def _write_metrics(path: Path, car: CarReplay, several: bool) -> None:
     drives = car.metrics() if several else [car.results[0].metrics]
     if path.suffix == TABLE_SUFFIX:
         write_file(path, metrics_csv(drives))
+        if (trends := trends_csv(drives)) is not None:
+            write_file(_trends_beside(path), trends)
     else:
         write_json(path, drives if several else drives[0])
+
+
+def _trends_beside(table: Path) -> Path:
+    return table.with_name(f"{table.stem}_trends{TABLE_SUFFIX}")
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:
@@ -367,5 +380,13 @@ def _write_report(path: Path, car: CarReplay, units: Units) -> None:
     of_all = car.breakdown() if len(car.results) > 1 else None
     gauge = car.chain.account.gauge
     write_replayed(
-        path, car.results, car.vehicle, car.options, command_line(), units, of_all, gauge=gauge
+        path,
+        car.results,
+        car.vehicle,
+        car.options,
+        command_line(),
+        units,
+        of_all,
+        gauge=gauge,
+        record=car.record(),
     )

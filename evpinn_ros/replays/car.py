@@ -109,6 +109,11 @@ class CarReplay:
         metrics = breakdown_metrics(of_all, self._mode.value, mass.value)
         return with_left_out(metrics, self.totals())
 
+    def record(self) -> str | None:
+        """Sentence on how well all drives so far were forecast at their start; else None."""
+        model = self.at_next_drive().model()
+        return None if model is None else model.record.sentence
+
     def totals(self) -> dict[str, Any]:
         """Totals of all drives together, as in the metrics of a drive."""
         return totals([replayed.drive for replayed in self.results])

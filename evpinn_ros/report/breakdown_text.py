@@ -17,6 +17,7 @@ TOGETHER = " + "  # between the names of parts that are not separated
 LEFT_OUT = (MEANINGS["speed"], UNEXPLAINED)
 _LOSSES = {MEANINGS[part.name.lower()] for part in LOSSES}
 SHORT = {  # in a column of a table
+    MEANINGS["slope"]: "climb",
     MEANINGS["air"]: "air",
     MEANINGS["brakes"]: "braking",
     MEANINGS["drivetrain"]: "drivetrain",

@@ -34,14 +34,13 @@ from evpinn_ros.report.html import write_page
 from evpinn_ros.report.owner_text import (
     LEAST_CHARGED,
     NEARLY_WHOLE,
-    SCORES,
     drives_columns,
     drives_rows,
     health_line,
     lone_note,
     owner_notes,
     part_text,
-    record_note,
+    scores_note,
 )
 from evpinn_ros.report.shapes import trend_intervals
 from evpinn_ros.report.tables import (
@@ -96,11 +95,12 @@ def write_replayed(
     breakdown: Mapping[str, Any] | None = None,
     *,
     gauge: ChargeGauge,
+    record: str | None = None,
 ) -> None:
     """Write the report of replayed drives, with the true parameters of simulated ones.
 
-    `breakdown` is of all drives together, `gauge` shows the state of health. OSError: the page
-    cannot be written.
+    `breakdown` is of all drives together, `gauge` shows the state of health, and `record` is a
+    sentence on how well the drives were forecast. OSError: the page cannot be written.
     """
     drives = [
         ReportedDrive(
@@ -114,7 +114,8 @@ def write_replayed(
         for replayed in replays
     ]
     health = health_line(gauge, [replayed.drive for replayed in replays])
-    write_drives(path, drives, command, units, breakdown, health)
+    about_car = " ".join(filter(None, (health, record)))
+    write_drives(path, drives, command, units, breakdown, about_car)
 
 
 def write_drives(
@@ -127,7 +128,7 @@ def write_drives(
 ) -> None:
     """Write the report; several drives are collapsible sections, the first of them open.
 
-    `breakdown` and the sentence `health` are of all drives together.
+    `breakdown` and `health`, sentences on the car, are of all drives together.
     """
     points = max(POINTS // len(drives), LEAST_POINTS)
     names = short_names([Path(drive.metrics["input"]["path"]) for drive in drives])
@@ -140,30 +141,37 @@ def write_drives(
         units,
     )
     columns = drives_columns(units)
-    began = [_date(drive.drive) for drive in drives]
-    zone = next((zone for zone in ZONES if all(begin.endswith(zone) for begin in began)), "")
-    began = [*(begin.removesuffix(zone) for begin in began), ""]
+    if any(drive.drive.dated for drive in drives):
+        began = [_date(drive.drive) for drive in drives]
+        zone = next((zone for zone in ZONES if all(begin.endswith(zone) for begin in began)), "")
+        began = [*(begin.removesuffix(zone) for begin in began), ""]
+        columns = (*columns[:DATED_AT], f"began{zone}", *columns[DATED_AT:])
+        rows = [
+            (*row[:DATED_AT], date, *row[DATED_AT:])
+            for row, date in zip(rows, began, strict=False)
+        ]
     write_page(
         path,
         "drive.html.j2",
-        title=f"Drive {names[0]}" if len(drives) == 1 else f"{len(drives)} drives",
+        title=_title(names[0]) if len(drives) == 1 else f"{len(drives)} drives",
         command=command,
         plots=[plots for _, plots in pages],
         drives=[values for values, _ in pages],
         about=", ".join(dict.fromkeys(drive.vehicle.name for drive in drives)),
-        index_columns=(*columns[:DATED_AT], f"began{zone}", *columns[DATED_AT:]),
-        index=[
-            (*row[:DATED_AT], date, *row[DATED_AT:])
-            for row, date in zip(rows, began, strict=False)
-        ],
+        index_columns=columns,
+        index=rows,
         health=health,
-        about_scores=SCORES,
+        about_scores=scores_note(rows),
         whole=breakdown and {"breakdown": breakdown_values(breakdown, units)},
         trends=trend_intervals([drive_point(drive.drive) for drive in drives], units),
         score_columns=SCORE_COLUMNS,
         parameter_titles=drive_charts.TITLES,
         most_events=MOST_EVENTS,
     )
+
+
+def _title(name: str) -> str:
+    return name.capitalize() if name.lower().startswith(("drive", "trip")) else f"Drive {name}"
 
 
 def _drive(
@@ -184,7 +192,7 @@ def _drive(
         "name": name,
         "about": f"{reported.vehicle.name}, {_date(drive)}",
         "doubts": [
-            *filter(None, [lone_note(drive, units), record_note(drive)]),
+            *filter(None, [lone_note(drive, units)]),
             *owner_notes(reported.vehicle, drive, metrics),
             *drive.reading_notes,
         ],

@@ -40,7 +40,7 @@ WORDS = {
 def dropped_text(dropped: Mapping[str, int]) -> str:
     """Counts of lost readings by reason, joined by commas; empty if none was lost."""
     lost = ((count, reason) for reason, count in dropped.items() if reason not in NO_LOSS)
-    return ", ".join(f"{count} {_words(reason)}" for count, reason in lost if count)
+    return ", ".join(f"{_words(reason)} ({count})" for count, reason in lost if count)
 
 
 def _words(reason: str) -> str:

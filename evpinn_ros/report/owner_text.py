@@ -17,7 +17,7 @@ from evpinn_ros.core.signals.road import HEATED_BELOW
 from evpinn_ros.core.vehicle.files import Vehicle
 from evpinn_ros.replays.driven import Counted, counted, without_lone
 from evpinn_ros.replays.history import Drive
-from evpinn_ros.replays.vehicle_fit import DOUBTFUL, size_note, vehicle_doubt
+from evpinn_ros.replays.vehicle_fit import size_note, vehicle_doubt
 from evpinn_ros.report.breakdown_text import (
     CONTRADICTED,
     SHORT,
@@ -34,8 +34,9 @@ LEAST_HEATING = 300.0  # W; less reported heating is not mentioned
 LARGEST_PERCENT = 100.0  # error of energy; larger ones are shown in kWh
 SCORES = (
     "RMSE (of power) and error of energy say how well each drive was predicted, moment by moment, "
-    "before it was learned from. An error larger than the energy itself is in kWh."
+    "before it was learned from."
 )
+IN_KWH = " kWh"  # ends an error of energy that is not in percent
 LEAST_CHARGED = 0.05 * JOULES_PER_KWH  # J; less charged energy is not mentioned
 
 
@@ -98,9 +99,10 @@ def owner_notes(vehicle: Vehicle, drive: Drive, metrics: Mapping[str, Any]) -> l
     return [note for note in notes if note]
 
 
-def record_note(drive: Drive) -> str | None:
-    """Sentence on how well earlier drives of this car were forecast at their start, or None."""
-    return None if drive.model is None else drive.model.record.sentence
+def scores_note(rows: Sequence[Sequence[str]]) -> str:
+    """Sentences on the scores in `drives_rows`."""
+    above = any(row[-1].endswith(IN_KWH) for row in rows)
+    return f"{SCORES} Errors above 100 % are in kWh." if above else SCORES
 
 
 def health_line(gauge: ChargeGauge, drives: Iterable[Drive]) -> str:
@@ -117,7 +119,7 @@ def health_line(gauge: ChargeGauge, drives: Iterable[Drive]) -> str:
     if not health.known:
         return f"{unknown}: {holds}, and its vehicle file has no battery_capacity to compare."
     rated = f"{kwh / health.value:.1f} kWh of its vehicle file"
-    if health.value - DOUBTFUL * health.sigma > 1.0:
+    if gauge.contradicted:
         return f"{unknown}: {holds}, more than the {rated}, so one of the two is wrong."
     percent, spread = (100 * share for share in health)
     health_text = f"State of health of the battery: {percent:.0f} +- {spread:.0f} % of the {rated}"
@@ -195,7 +197,7 @@ def _error(energy: Mapping[str, Any]) -> str:
     if percent is None or abs(percent) <= LARGEST_PERCENT:
         return signed_percent(percent)
     kwh = (energy["predicted_j"] - energy["measured_j"]) / JOULES_PER_KWH
-    return f"{fixed(kwh, kwh_digits(kwh, 2), '+')} kWh"
+    return f"{fixed(kwh, kwh_digits(kwh, 2), '+')}{IN_KWH}"
 
 
 def _predicted(metrics: Iterable[Mapping[str, Any]]) -> float | None:

@@ -98,8 +98,11 @@ class TrackRecord(NamedTuple):
         learned, file = (100.0 * error / self.measured for error in (self.learned, self.file))
         forgotten = max(1.0 - self.drives / CASES_KEPT, KEPT**MOST_COUNTED)
         drives = math.log(forgotten) / math.log(KEPT)  # number of drives whose sum is `drives`
-        text = f"Predicted beforehand, the energy of {drives:.0f} drive{'s' * (drives > 1.5)} was "
-        return f"{text}off by {learned:.0f} %; by the vehicle file alone, by {file:.0f} %."
+        text = f"the energy of {drives:.0f} drive{'s' * (drives > 1.5)} was off by {learned:.0f} %"
+        return (
+            f"Forecast from the drives before, {text}; "
+            f"forecast from the vehicle file alone, by {file:.0f} %."
+        )
 
 
 @dataclass(frozen=True, slots=True)

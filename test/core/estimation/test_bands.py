@@ -50,7 +50,7 @@ def test_a_track_record_tells_how_many_drives_it_is_of(drives):
         record = record.after(1e7, 1.2e7, 0.9e7)
     assert record.sentence is not None
     assert f"of {drives} drive{'s' if drives > 1 else ''} was off by 20 %; " in record.sentence
-    assert record.sentence.endswith("by the vehicle file alone, by 10 %.")
+    assert record.sentence.endswith("forecast from the vehicle file alone, by 10 %.")
 
 
 @pytest.mark.parametrize("ratio", [0.6, 1.0, 1.6])
