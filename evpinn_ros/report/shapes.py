@@ -144,7 +144,8 @@ def _rows(trend: Trend, units: Units) -> list[dict[str, Any]]:
     for row in trend.rows:
         text = f"{row.mean:.{trend.digits}f}"
         if row.drives > 1:
-            text += f" (single drives ± {row.spread:.{trend.digits}f})"
+            digits = trend.digits + (round(row.spread, trend.digits) == 0.0)  # no ± 0.0
+            text += f" (single drives ± {row.spread:.{digits}f})"
         distance = f"{row.distance / units.metres:.0f} {units.distance}"
         text += f"; {counted(row.drives, 'drive')}, {distance}"
         rows.append(IntervalRow(row.name, text, row.mean, row.spread))
