@@ -14,7 +14,7 @@ from evpinn_ros.can.encoder import Encoder
 from evpinn_ros.can.frame import CanFrame
 from evpinn_ros.can.logs import write_log
 from evpinn_ros.can.profile import load_profile
-from evpinn_ros.cli.console import note, progress_bar, say, show, write_json
+from evpinn_ros.cli.console import note, progress_bar, say, show, working, write_json
 from evpinn_ros.cli.interruption import Interruption
 from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.cli.replay import parameter_table, score_table
@@ -71,14 +71,13 @@ def demo(
     }
     with Interruption() as stop, progress_bar("evpinn demo", total=duration) as progress:
         record_through_nodes(parameters, end_ns, bag, progress, lambda: stop.asked)
-    drive = recorded_drive(bag)
     truth = read_truth(source)
     determined_truth = truth and identifiable(truth, load_vehicle(VEHICLE).frontal_area)
-    save_figure(
-        drive_figure(drive, "A simulated drive in town, through the nodes", determined_truth),
-        picture,
-    )
-    scores = drive_scores(drive, WARM_UP)
+    with working(f"drawing {picture}"):
+        drive = recorded_drive(bag)
+        title = "A simulated drive in town, through the nodes"
+        save_figure(drive_figure(drive, title, determined_truth), picture)
+        scores = drive_scores(drive, WARM_UP)
     show(score_table(drive, scores))
     for line in energy_lines(scores):
         say(line)
