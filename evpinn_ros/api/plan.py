@@ -8,7 +8,7 @@ from dataclasses import replace
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
@@ -45,6 +45,7 @@ from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 
 if TYPE_CHECKING:
     import pandas as pd
+    import polars as pl
 
 TEMPERATURE_STEP = 10.0  # K, of `what_if`
 LONG_ENOUGH, FULL_STEPS = 3.0, 3000  # multiple of the capacity that empties any battery; steps
@@ -76,7 +77,7 @@ class KnownCar(Protocol):
 
 
 def forecast(
-    plan: pd.DataFrame | Mapping[str, Any] | str | os.PathLike[str] | Plan | Legs,
+    plan: pd.DataFrame | pl.DataFrame | Mapping[str, Any] | str | os.PathLike[str] | Plan | Legs,
     car: str | Path | Vehicle | KnownCar = "generic",
     *,
     charge_pct: float | None = None,
@@ -320,7 +321,7 @@ def as_plan(plan: Any, vehicle: Vehicle, speed_kmh: float | None = None) -> Plan
     if isinstance(plan, Plan | Legs):
         return plan
     # Here, for polars, which reads tables, takes a quarter of a second to import.
-    from evpinn_ros.logs.plans.read import read_plan
+    from evpinn_ros.logs.plans.read import read_plan, warn_if_fast
     from evpinn_ros.logs.plans.table import plan_of_columns
     from evpinn_ros.logs.read_options import ReadOptions
 
@@ -329,17 +330,21 @@ def as_plan(plan: Any, vehicle: Vehicle, speed_kmh: float | None = None) -> Plan
         return read_plan(Path(plan), vehicle, ReadOptions(pace=pace))
     if _is_frame(plan) and plan.index.name == "t_s":
         plan = plan.reset_index()
-    return plan_of_columns(columns_of(plan))
+    columns = plan_of_columns(columns_of(plan))
+    warn_if_fast(columns)
+    return columns
 
 
-def _is_frame(table: Any) -> bool:
-    """True for a DataFrame, without loading pandas for other types."""
+def _is_frame(table: Any) -> TypeGuard[pd.DataFrame]:
+    """True for a DataFrame of pandas, without loading pandas for other types."""
     package = type(table).__module__.partition(".")[0]
     return package == "pandas" and isinstance(table, pandas().DataFrame)
 
 
 def columns_of(table: Any) -> dict[str, Any]:
-    """The columns of a DataFrame or mapping; TypeError for others."""
+    """The columns of a DataFrame of pandas or polars, or of a mapping; TypeError for others."""
+    if type(table).__module__.startswith("polars."):
+        table = table.to_dict(as_series=False)
     if not (_is_frame(table) or isinstance(table, Mapping)):
         raise TypeError(f"a DataFrame, a dict or a file is needed, not {type(table).__name__}")
     return {str(column): table[column] for column in table}
@@ -388,7 +393,7 @@ class EdgeEnergies:
 
 
 def edge_energies(
-    edges: pd.DataFrame | Mapping[str, Any],
+    edges: pd.DataFrame | pl.DataFrame | Mapping[str, Any],
     car: str | Path | Vehicle | KnownCar = "generic",
     *,
     temperature_c: float | None = None,
@@ -442,5 +447,5 @@ def edge_energies(
         legs, basis.model, basis.weather, basis.head_wind, steady=steady
     )
     counted = pandas().RangeIndex(len(legs.length))
-    index = counted if isinstance(edges, Mapping) else edges.index
+    index = edges.index if _is_frame(edges) else counted
     return EdgeEnergies(index, of_edges)

@@ -98,8 +98,8 @@ def forecast(
         typer.Option(
             "--steady/--expected",
             help="Between distant points, the car follows the planned speeds exactly (steady), or "
-            "varies around them as drivers do (expected: the default, except for plans that a "
-            "controller follows).",
+            "varies around them as drivers do (expected: the default, except for drives, "
+            "driving cycles and plans that a controller follows).",
         ),
     ] = None,
     read_options: ReadOptions = READ_DEFAULTS,

@@ -21,7 +21,15 @@ from evpinn_ros.common.errors import InputError, as_input_error, with_kind
 from evpinn_ros.common.opener import open_unpacked
 from evpinn_ros.core.energy.driven import PLAN_STEP, drive_plan
 from evpinn_ros.core.energy.path_plan import NOMINAL_SPEED
-from evpinn_ros.core.energy.plan import MAX_POINTS, Legs, Plan, PlanError, sums, travelled
+from evpinn_ros.core.energy.plan import (
+    MAX_POINTS,
+    Legs,
+    Plan,
+    PlanError,
+    points_of,
+    sums,
+    travelled,
+)
 from evpinn_ros.core.signals.readings import (
     NANOSECONDS,
     AltitudeReading,
@@ -42,6 +50,7 @@ from evpinn_ros.logs.sources import open_source
 from evpinn_ros.topics import FRAME_TYPE, SPEEDS
 from evpinn_ros.topics.plans import PLAN_TYPES, plan_of_message
 
+FASTEST_MEAN = 45.0  # m/s on the whole of a trip
 MOST_XML = 32 << 20  # bytes, unpacked: 50,000 points with the data that watches add
 MOST_JSON = 16 << 20  # bytes
 MOST_VALUES = 20 * MAX_POINTS  # values of JSON; each takes up to 150 bytes as a Python object
@@ -68,7 +77,19 @@ def read_plan(
         raise (PlanError if isinstance(error, PlanError) else InputError)(named) from error
     if options.pace is not None and not _is_driven_at(options.pace, plan):
         warnings.warn("the speed that was given is not used: this plan has its own", stacklevel=2)
+    warn_if_fast(plan)
     return plan
+
+
+def warn_if_fast(plan: Plan | Legs) -> None:
+    """Warn of a mean speed that hardly any trip has: its speeds may be in km/h."""
+    points = points_of(plan)
+    mean = float(np.ptp(points.distance) / np.ptp(points.time))
+    if mean > FASTEST_MEAN:
+        warnings.warn(
+            f"it drives {3.6 * mean:.0f} km/h ({mean:.0f} m/s) on the whole; are its units right?",
+            stacklevel=3,
+        )
 
 
 def _is_driven_at(pace: float, plan: Plan | Legs) -> bool:

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pandas as pd
+import polars as pl
 import pytest
 
 import evpinn_ros as ev
@@ -215,6 +216,14 @@ def test_what_a_drive_s_columns_are_taken_for_is_said(read):
     assert any(text.endswith("not used: wind") for text in texts)
 
 
+def test_a_mean_speed_that_no_trip_has_is_said(tmp_path):
+    """72 km/h, taken for m/s."""
+    (tmp_path / "fast.csv").write_text("t_s,speed_mps\n0,72\n600,72\n")
+    for plan in ({"t_s": [0, 600], "speed_mps": [72, 72]}, tmp_path / "fast.csv"):
+        with pytest.warns(UserWarning, match=r"259 km/h \(72 m/s\) on the whole"):
+            ev.forecast(plan)
+
+
 @pytest.mark.parametrize("step", [2, 10])
 def test_a_table_of_other_names_says_where_it_is_taken_as_driven(read, step):
     """Points 2 s apart at 72 km/h took a fifth less than under our names, without a word."""
@@ -297,8 +306,12 @@ def test_python_takes_the_same_columns_and_files(tmp_path):
     columns = {"length_m": [1200, 12000, 3000], "duration_s": [150, 480, 240],
                "climb_m": [10, 100, np.nan]}  # fmt: skip
     (tmp_path / "legs.csv").write_text(LEGS)
-    for plan in (columns, pd.DataFrame(columns)):
+    frame = pd.DataFrame(columns)
+    for plan in (columns, frame, pl.from_pandas(frame)):
         pd.testing.assert_frame_equal(ev.forecast(tmp_path / "legs.csv"), ev.forecast(plan))
+    edges = columns | {"climb_m": [10, 100, 0]}
+    of_polars, of_dict = (ev.edge_energies(each).table for each in (pl.DataFrame(edges), edges))
+    pd.testing.assert_frame_equal(of_polars, of_dict)
     speeds = {"t_s": [0.0, 400.0], "speed_mps": [20.0, 20.0]}
     empty = speeds | {"elevation_m": [None, np.nan]}
     pd.testing.assert_frame_equal(ev.forecast(empty), ev.forecast(speeds))
