@@ -122,17 +122,17 @@ def _pieces(car: UnseenCar, seed: int) -> Iterator[Kilometre]:
     for number, drive in enumerate(car.drives):
         if number:
             learned = learned.begin_drive()
-        done: list[Interval] = []
+        measured_intervals: list[Interval] = []
         for interval in intervals_of(car, drive):
             learned = learned.after([interval])
             if math.isnan(interval.energy):
                 continue
-            done.append(interval)
-            distance = sum(abs(step.distance) for step in done)
+            measured_intervals.append(interval)
+            distance = sum(abs(step.distance) for step in measured_intervals)
             if distance >= PIECE:
-                driven = Stretch(distance, sum(step.energy for step in done))
-                yield _piece(number, driven, tuple(done), log, learned.model())
-                done = []
+                driven = Stretch(distance, sum(step.energy for step in measured_intervals))
+                yield _piece(number, driven, tuple(measured_intervals), log, learned.model())
+                measured_intervals = []
 
 
 def _piece(
@@ -154,18 +154,21 @@ def _piece(
 def _along_route(pieces: list[Kilometre], index: int) -> RouteAhead | None:
     """The rest of the drive after a piece as a route; None at its end, and without a cost."""
     here, after = pieces[index], pieces[index + 1 :]
-    done = [
+    measured_intervals = [
         interval for piece in after if piece.drive == here.drive for interval in piece.intervals
     ]
-    if here.cost is None or not done:
+    if here.cost is None or not measured_intervals:
         return None
     try:
-        route, start = points_of(plan_of(done, "500 m")), plan_of(done, "1 s")
+        route, start = (
+            points_of(plan_of(measured_intervals, "500 m")),
+            plan_of(measured_intervals, "1 s"),
+        )
     except PlanError:
         return None
     assert isinstance(start, Plan), "its speeds are those driven"
     route = replace(route, speed=np.append(start.speed[:1], route.speed[1:]))
-    forecast = forecast_plan(route, PowerModel(here.model), weather_of(done))
+    forecast = forecast_plan(route, PowerModel(here.model), weather_of(measured_intervals))
     assert forecast.curve is not None, "it is one trip"
     return Route.from_here(forecast.curve, 0.0, 0).ahead(0.0, here.cost)
 

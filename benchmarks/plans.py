@@ -111,17 +111,17 @@ def _planned(car: UnseenCar, seed: int) -> Iterator[PlannedDrive]:
     new = learned.model()
     before: list[tuple[float, float, float]] = []  # energy J, distance m, duration s
     for drive in car.drives:
-        intervals = list(intervals_of(car, drive))
+        all_intervals = list(intervals_of(car, drive))
         if before:
             learned = learned.begin_drive()
-        done = [interval for interval in intervals if not math.isnan(interval.energy)]
-        driven = np.array([(e.energy, abs(e.distance), e.duration) for e in done])
+        intervals = [interval for interval in all_intervals if not math.isnan(interval.energy)]
+        driven = np.array([(e.energy, abs(e.distance), e.duration) for e in intervals])
         if not len(driven):
             continue
         totals = tuple(driven.sum(0).tolist())
         if before and totals[1] >= LEAST_DISTANCE:
-            yield from forecasts(learned.model(), new, done, before)
-        learned = learned.after(intervals)
+            yield from forecasts(learned.model(), new, intervals, before)
+        learned = learned.after(all_intervals)
         before.append((totals[0], totals[1], totals[2]))
 
 
@@ -135,7 +135,7 @@ def intervals_of(car: UnseenCar, drive: UnseenDrive) -> Iterator[Interval]:
 def forecasts(
     model: CarModel,
     new: CarModel,
-    done: list[Interval],
+    intervals: list[Interval],
     before: list[tuple[float, float, float]],
 ) -> Iterator[PlannedDrive]:
     """A drive as plans of all resolutions, by all methods.
@@ -143,13 +143,13 @@ def forecasts(
     Args:
         model: what the drives before taught.
         new: what the vehicle file says.
-        done: intervals of the drive whose energy was measured.
+        intervals: intervals of the drive whose energy was measured.
         before: energy, J, distance, m, and duration, s, of each drive before.
     """
-    measured = sum(interval.energy for interval in done)
-    gross = sum(abs(interval.energy) for interval in done)
-    speed = 3.6 * sum(abs(e.distance) for e in done) / sum(e.duration for e in done)
-    weather, loaded = weather_of(done), weather_of(done, loads=True)
+    measured = sum(interval.energy for interval in intervals)
+    gross = sum(abs(interval.energy) for interval in intervals)
+    speed = 3.6 * sum(abs(e.distance) for e in intervals) / sum(e.duration for e in intervals)
+    weather, loaded = weather_of(intervals), weather_of(intervals, loads=True)
     ways: dict[str, tuple[CarModel, Weather, bool | None]]
     ways = {"forecast": (model, weather, None), "vehicle file": (new, weather, None)}
     if loaded.heating is not None:
@@ -157,47 +157,49 @@ def forecasts(
     ways["even speed"] = model, weather, True
     for resolution in RESOLUTIONS:
         try:
-            plan = plan_of(done, resolution)
+            plan = plan_of(intervals, resolution)
         except PlanError:
             continue
         for method, (car, around, steady) in ways.items():
             forecast = forecast_plan(plan, PowerModel(car), around, steady=steady)
             energy, sigma = float(forecast.energy[-1]), float(forecast.sigma[-1])
             yield PlannedDrive(resolution, method, speed, energy, sigma, measured, gross)
-    for method, energy in _by_distance(before, done):
+    for method, energy in _by_distance(before, intervals):
         yield PlannedDrive("trip", method, speed, energy, math.nan, measured, gross)
 
 
-def weather_of(done: list[Interval], *, loads: bool = False) -> Weather:
+def weather_of(intervals: list[Interval], *, loads: bool = False) -> Weather:
     """Mean temperature of a drive and, with `loads`, mean of its reported loads."""
-    known = [interval for interval in done if interval.conditions.celsius is not None]
+    known = [interval for interval in intervals if interval.conditions.celsius is not None]
     celsius = _mean(known, "celsius") if known else None
-    reported = loads and any(interval.conditions.load > 0.0 for interval in done)
-    return Weather(_mean(done, "air_density"), celsius, _mean(done, "load") if reported else None)
+    reported = loads and any(interval.conditions.load > 0.0 for interval in intervals)
+    return Weather(
+        _mean(intervals, "air_density"), celsius, _mean(intervals, "load") if reported else None
+    )
 
 
-def plan_of(done: list[Interval], resolution: str) -> Plan | Legs:
+def plan_of(intervals: list[Interval], resolution: str) -> Plan | Legs:
     """A drive as a plan: of points each second, else of legs.
 
     Raises:
         PlanError: it cannot be driven.
     """
-    return _Steps.of(done).plan(resolution)
+    return _Steps.of(intervals).plan(resolution)
 
 
-def _mean(done: list[Interval], name: str) -> float:
+def _mean(intervals: list[Interval], name: str) -> float:
     """Mean of a condition over time."""
-    values = [getattr(interval.conditions, name) for interval in done]
-    return float(np.average(values, weights=[interval.duration for interval in done]))
+    values = [getattr(interval.conditions, name) for interval in intervals]
+    return float(np.average(values, weights=[interval.duration for interval in intervals]))
 
 
 def _by_distance(
-    before: list[tuple[float, float, float]], done: list[Interval]
+    before: list[tuple[float, float, float]], intervals: list[Interval]
 ) -> Iterator[tuple[str, float]]:
     energy, distance, duration = np.array(before).T
-    length = sum(abs(interval.distance) for interval in done)
+    length = sum(abs(interval.distance) for interval in intervals)
     yield "per km", float(length * energy.sum() / distance.sum())
-    speed = length / sum(interval.duration for interval in done)
+    speed = length / sum(interval.duration for interval in intervals)
     alike = np.abs(distance / duration - speed) <= SPEED_CLASS
     if not alike.any():
         alike[:] = True
@@ -219,14 +221,14 @@ class _Steps:
     piece: np.ndarray
 
     @classmethod
-    def of(cls, done: list[Interval]) -> _Steps:
+    def of(cls, intervals: list[Interval]) -> _Steps:
         duration, distance, kinetic, climb = (
-            np.concatenate([getattr(interval.steps, name) for interval in done])
+            np.concatenate([getattr(interval.steps, name) for interval in intervals])
             for name in ("duration", "distance", "kinetic", "climb")
         )
-        counts = [len(interval.steps.duration) for interval in done]
-        known = np.repeat([float(interval.height_known) for interval in done], counts)
-        gaps = [before.end_ns != after.start_ns for before, after in pairwise(done)]
+        counts = [len(interval.steps.duration) for interval in intervals]
+        known = np.repeat([float(interval.height_known) for interval in intervals], counts)
+        gaps = [before.end_ns != after.start_ns for before, after in pairwise(intervals)]
         piece = np.repeat(np.cumsum([0, *gaps]), counts)
         return cls(duration, np.abs(distance), kinetic, climb, known, piece)
 

@@ -28,9 +28,7 @@ Result = TypeVar("Result")
 
 def cars_option(cars: Sequence[str]) -> Any:
     """The option `--cars` of a command that scores these cars by default."""
-    return typer.Option(
-        help=f"Joined by commas; if not given, those there are of {', '.join(cars)}."
-    )
+    return typer.Option(help=f"Joined by commas; if not given, DATA's among {', '.join(cars)}.")
 
 
 def chosen_cars(data: str, wanted: str, default: Sequence[str]) -> list[str]:

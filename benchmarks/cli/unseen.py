@@ -68,12 +68,12 @@ def unseen(
     for name in names:
         find_method(name)
     one_car = "=" in data
-    there = [*cars_in(data), *(() if one_car else KINDS)]
+    present = [*cars_in(data), *(() if one_car else KINDS)]
     if not (one_car or sumo_is_there()):
         note("evpinn: eclipse-sumo and libsumo are not installed: cars by SUMO are left out")
     if not one_car and fastsim_version() is None:
         note("evpinn: fastsim is not installed: cars by FASTSim are left out")
-    chosen = _chosen(names_in(cars), there)
+    chosen = _chosen(names_in(cars), present)
     tasks = [Task(data, car, name) for car in chosen for name in names]
     by_car: dict[str, Any] = {}
     with (
@@ -93,11 +93,13 @@ def unseen(
         _show_goals(by_car)
 
 
-def _chosen(wanted: Sequence[str], there: Sequence[str]) -> Sequence[str]:
-    unknown = [name for name in wanted if name not in there]
-    if unknown or not there:
-        raise InputError(f"no car '{', '.join(unknown)}'; there are {', '.join(there) or 'none'}")
-    return wanted or there
+def _chosen(wanted: Sequence[str], present: Sequence[str]) -> Sequence[str]:
+    unknown = [name for name in wanted if name not in present]
+    if unknown or not present:
+        raise InputError(
+            f"no car '{', '.join(unknown)}'; there are {', '.join(present) or 'none'}"
+        )
+    return wanted or present
 
 
 def _add(by_car: dict[str, Any], result: TaskResult) -> None:

@@ -115,9 +115,7 @@ MetricsOption = Annotated[
 ReportOption = Annotated[
     Path | None, typer.Option(help="Write this HTML report.", callback=check_report)
 ]
-UnitsOption = Annotated[
-    UnitSystem, typer.Option(help="Units in text and reports; JSON keeps its own.")
-]
+UnitsOption = Annotated[UnitSystem, typer.Option(help="Units in text and reports, not in JSON.")]
 ElevationOption = Annotated[
     Path | None,
     typer.Option(

@@ -140,9 +140,9 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         has_typed, all_typed = factory.is_installed(PACKAGE), not self.values.get(VECTORS, True)
         if all_typed and not has_typed:
             raise InputError(f"{VECTORS}: false, but {PACKAGE} is not installed")
-        beside = [TYPED[topic] for topic in outputs if has_typed and topic in TYPED]
+        typed_topics = [TYPED[topic] for topic in outputs if has_typed and topic in TYPED]
         left_out = TYPED.keys() - ALWAYS if all_typed else ()
-        for topic in (*(topic for topic in outputs if topic not in left_out), *beside):
+        for topic in (*(topic for topic in outputs if topic not in left_out), *typed_topics):
             outlet = factory.advertise(self, topic, partial(self._refused_by, topic))
             self._outlets[topic] = outlet
             self._made.append(partial(self.destroy_publisher, outlet))
@@ -235,9 +235,9 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
             self.bad[NOT_FINITE] += 1
             return
         for topic, message in ready:
-            if (beside := TYPED.get(topic)) in self._outlets:
-                self._outlets[beside].publish(typed_message(topic, message))
-                self.published[beside] += 1
+            if (typed_topic := TYPED.get(topic)) in self._outlets:
+                self._outlets[typed_topic].publish(typed_message(topic, message))
+                self.published[typed_topic] += 1
                 if topic not in self._outlets:
                     continue
             self._outlets[topic].publish(message)
@@ -343,8 +343,8 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
         statuses = self.statuses() if self.configured else [waits]
         vehicle = self.values.get("vehicle")  # a name, or the path of a file
         car = {"vehicle": Path(vehicle).stem} if vehicle else {}
-        told = [status._replace(values=car | dict(status.values)) for status in statuses]
-        yield topics.DIAGNOSTICS, self.status_message(told)
+        with_car = [status._replace(values=car | dict(status.values)) for status in statuses]
+        yield topics.DIAGNOSTICS, self.status_message(with_car)
 
     def status_message(self, statuses: Iterable[Status]) -> Any:
         """diagnostic_msgs/DiagnosticArray of statuses, with the names of node and car."""

@@ -237,15 +237,15 @@ class History:
                 series["speed"].extend(time, first)
             elif kind is BatteryReading:
                 charge = values[2]
-                told = (charge >= 0.0) & (charge <= 1.0)
+                has_charge = (charge >= 0.0) & (charge <= 1.0)
                 columns = (self._voltage, first), (self._current, values[1])
                 for column, numbers in columns:
                     column.extend(time[np.isfinite(numbers)], numbers[np.isfinite(numbers)])
-                series["charge"].extend(time[told], charge[told])
+                series["charge"].extend(time[has_charge], charge[has_charge])
             elif kind is AltitudeReading:
                 series["altitude"].extend(time, first)
-                there = has_position(*values[1:])
-                series["position"].extend(time[there], *values[1:, there])
+                has_place = has_position(*values[1:])
+                series["position"].extend(time[has_place], *values[1:, has_place])
             elif kind is TemperatureReading:
                 series["temperature"].extend(time, first)
             elif kind is AuxiliaryReading:

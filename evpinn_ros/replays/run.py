@@ -108,29 +108,22 @@ def replay(
     parts = (part for block in source.blocks() for part in block.parts(size))
     blocks = takewhile(lambda _: not stopped(), span(parts, options.start, options.duration))
     pace = _Pace(options.rate, progress)
-    for block in (item for some in blocks for item in chain.follow(some)):
-        if isinstance(block, Jump):
+    for item in (item for block in blocks for item in chain.follow(block)):
+        if isinstance(item, Jump):
             _take_rest(chain, history, writer)
             chain.jump()
-            history.add_jump(block)
+            history.add_jump(item)
             continue
-        history.add_block(block)
+        history.add_block(item)
         pace.keep(history.now)
-        given = _without_withheld(block, history, options.withhold_battery_after)
+        given = _without_withheld(item, history, options.withhold_battery_after)
         if writer is None:
             history.add_outputs(chain.read(given))
             history.add_states(chain.account.count())
         else:
-            not_recorded.update(_recorded(writer, block, given, chain, history))
+            not_recorded.update(_recorded(writer, item, given, chain, history))
     _take_rest(chain, history, writer)
-    last = chain.estimator.finish()
-    history.add_output(last.stamp_ns, last)
-    history.add_detections(last.stamp_ns, chain.estimator.detections())
-    history.add_model(last.stamp_ns, chain.estimator.model())
-    if writer is not None:
-        _write(writer, last, history.moment(last.stamp_ns))
-        if (breakdown := chain.estimator.breakdown()) is not None:
-            _write(writer, breakdown, history.moment(last.stamp_ns), last.stamp_ns)
+    _finish(chain, history, writer)
     wall = time.perf_counter() - started
     drive = replace(
         history.drive(chain.estimator.model()),
@@ -139,14 +132,7 @@ def replay(
         doubts=source.doubts,
         stops_s=source.stops_s,
     )
-    where = "" if options.start == 0 and options.duration is None else " in that span"
-    if len(drive.speed) == 0:
-        why = next((text for text in source.notes if text.startswith("speed is")), "")
-        raise InputError(
-            f"{source.path}: no speed{where}, so nothing can be predicted{why and f': {why}'}"
-        )
-    if not len(drive.newest.power) and not len(drive.smoothed.power):
-        raise InputError(f"{source.path}: nothing can be predicted{where}: {_too_seldom(drive)}")
+    _refuse_unpredicted(drive, source, options)
     status = chain.estimator.status()
     scores = metrics(
         path=str(source.path),
@@ -164,6 +150,30 @@ def replay(
     scores["health"] = health(chain.account.gauge)
     scores["breakdown"] = with_left_out(scores["breakdown"], scores["totals"])
     return Replayed(drive, scores, source.problem)
+
+
+def _finish(chain: Chain, history: History, writer: BagWriter | None) -> None:
+    """Take, and write, what the estimator knows at the end of the drive."""
+    last = chain.estimator.finish()
+    history.add_output(last.stamp_ns, last)
+    history.add_detections(last.stamp_ns, chain.estimator.detections())
+    history.add_model(last.stamp_ns, chain.estimator.model())
+    if writer is not None:
+        _write(writer, last, history.moment(last.stamp_ns))
+        if (breakdown := chain.estimator.breakdown()) is not None:
+            _write(writer, breakdown, history.moment(last.stamp_ns), last.stamp_ns)
+
+
+def _refuse_unpredicted(drive: Drive, source: Source, options: ReplayOptions) -> None:
+    """Raise InputError for a drive without any prediction."""
+    where = "" if options.start == 0 and options.duration is None else " in that span"
+    if len(drive.speed) == 0:
+        why = next((text for text in source.notes if text.startswith("speed is")), "")
+        raise InputError(
+            f"{source.path}: no speed{where}, so nothing can be predicted{why and f': {why}'}"
+        )
+    if not len(drive.newest.power) and not len(drive.smoothed.power):
+        raise InputError(f"{source.path}: nothing can be predicted{where}: {_too_seldom(drive)}")
 
 
 def _too_seldom(drive: Drive) -> str:

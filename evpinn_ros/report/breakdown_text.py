@@ -65,9 +65,9 @@ def breakdown_rows(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[
     """Rows of text under `breakdown_columns`: the `shown` parts, the total, what was regained."""
     if breakdown["unknown"] is not None:
         return []
-    beside = [(MEANINGS[name], breakdown[name]) for name in ("measured", REGAINED)]
+    totals = [(MEANINGS[name], breakdown[name]) for name in ("measured", REGAINED)]
     digits = kwh_digits(breakdown["measured"]["kwh"], 3)
-    return [_row(name, amount, units, digits) for name, amount in (*shown(breakdown), *beside)]
+    return [_row(name, amount, units, digits) for name, amount in (*shown(breakdown), *totals)]
 
 
 def breakdown_lines(breakdown: Mapping[str, Any], units: Units = METRIC) -> list[str]:

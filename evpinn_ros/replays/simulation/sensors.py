@@ -83,8 +83,8 @@ def sense(
     kept.sort(key=attrgetter("stamp_ns"))
     decoder = Decoder(profile)
     readings = (reading for frame in kept for reading in decoder.decode(frame))
-    beside = () if on_bus else motors
-    return SensorData(tuple(kept), (*readings, *beside))
+    extra = () if on_bus else motors
+    return SensorData(tuple(kept), (*readings, *extra))
 
 
 def _sent(
