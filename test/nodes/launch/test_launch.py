@@ -269,7 +269,7 @@ def test_live_nodes_are_recorded_and_back_after_a_kill_with_all_they_had(
     given = ("vehicle:=tesla_model_3_lr", f"params_file:={car(seconds=seconds)}", "respawn:=true")
     with ros2.running(*LAUNCH, "evpinn.launch.py", *given, f"record:={drive}") as launch:
         play(bench, listeners=3)
-        bench.pump(lambda: any("at its end" in s.message for s in statuses(said, "can_bridge")))
+        bench.pump(lambda: any("ended after" in s.message for s in statuses(said, "can_bridge")))
         bench.pump(lambda: saved() == saved())  # nothing is on the way any more
         parameters, total = numbers(learned[-1]), counted()
         learned.clear(), totals.clear()
