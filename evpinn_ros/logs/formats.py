@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 import zlib
 
-from evpinn_ros.bags.names import BAG_SUFFIXES
+from evpinn_ros.bags.names import BAG_SUFFIXES, is_bag
 from evpinn_ros.can.log_names import GVRET_HEADER, LOG_SUFFIXES, MF4
 from evpinn_ros.common.errors import InputError, as_input_error
 from evpinn_ros.common.opener import open_unpacked
@@ -38,6 +38,8 @@ def suffix_of(path: Path) -> str:
 
 def unknown_kind(path: Path) -> InputError:
     """Error for a file that is no recording; it lists the supported kinds."""
+    if suffix_of(path) in BAG_SUFFIXES:
+        return InputError(f"{path}: bags are not read as .gz; unpack it first")
     logs, tables = ", ".join(LOG_SUFFIXES), ", ".join(TABLE_SUFFIXES)
     return InputError(f"{path}: neither a bag, a CAN log ({logs}) nor a table ({tables})")
 
@@ -68,7 +70,7 @@ def _holds_signals(path: Path) -> bool:
 
 
 def files_of(path: Path) -> list[Path]:
-    """The path itself, or the drives in a folder that is no bag, sorted by name."""
+    """The path itself, or, for a folder that is no bag, the drives in it, sorted by name."""
     if not path.is_dir() or any(file.suffix in BAG_FILES for file in path.iterdir()):
         return [path]
     return sorted(file for file in path.iterdir() if suffix_of(file) in _DRIVES) or [path]
@@ -77,7 +79,7 @@ def files_of(path: Path) -> list[Path]:
 def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
     """The recordings at or below a path, unordered; real paths in `seen` are skipped and added.
 
-    Links are followed last: a linked drive belongs to the car in whose folder the file lies.
+    Links are followed last: a linked drive belongs to the car whose folder holds the file.
     OSError: a folder cannot be read.
     """
     seen = set() if seen is None else seen
@@ -92,7 +94,7 @@ def recordings(path: Path, seen: set[str] | None = None) -> Iterator[Path]:
             yield entry
             continue
         for inner in entry.iterdir():
-            if inner.is_dir() or suffix_of(inner) in _RECORDINGS:
+            if is_bag(inner) or suffix_of(inner) in _RECORDINGS:
                 (waiting.append if inner.is_symlink() else waiting.appendleft)(inner)
 
 
@@ -100,5 +102,5 @@ def _is_bag_folder(path: Path) -> bool:
     """True if a folder is one rosbag2 bag; a killed recorder leaves no metadata."""
     if (path / "metadata.yaml").is_file():
         return True
-    names = (file.name for file in path.iterdir() if file.suffix in BAG_SUFFIXES)
-    return any(name.startswith(f"{path.name}_") for name in names)
+    files = (file for file in path.iterdir() if file.name.startswith(f"{path.name}_"))
+    return any(is_bag(file) and file.is_file() for file in files)

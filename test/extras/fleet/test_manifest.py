@@ -41,6 +41,12 @@ def test_a_top_folder_is_a_car(data):
     assert names_of(cars_by_folder([str(data / "data")], LEAF), data) == ALL
 
 
+def test_packed_files_of_a_killed_recorder_are_drives(empty_files):
+    data = empty_files("data/ann/day/day_0.mcap.zstd", "data/ann/loose.db3.zstd")
+    found = names_of(cars_by_folder([str(data / "data")], LEAF), data)
+    assert found == {"ann": ["data/ann/day", "data/ann/loose.db3.zstd"]}
+
+
 def test_two_folders_of_one_name_are_not_mixed(data):
     with pytest.raises(InputError, match="would both be car 'bob'"):
         cars_by_folder([str(data / "data"), str(data / "other")], LEAF)
