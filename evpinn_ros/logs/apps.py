@@ -1,4 +1,4 @@
-"""Columns of log apps whose meaning their names alone do not tell."""
+"""Columns of log apps whose names alone do not tell their meaning."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 class App(NamedTuple):
     """An app, recognised by columns that no other app has."""
 
-    marks: tuple[str, ...]  # the names of these columns
+    marks: tuple[str, ...]  # names of columns that only this app writes
     columns: Mapping[str, str]  # column to use by quantity, regardless of other names
     units: Mapping[str, str]  # by column, as `QUANTITIES` spells them
     could_be: Mapping[str, tuple[str, ...]] = {}  # by column, other units that a setting selects
@@ -59,7 +59,7 @@ ANNOTATIONS = ("#group", "#datatype", "#default")  # InfluxDB's rows above the n
 
 
 def app_of(header: Collection[str]) -> App | None:
-    """The app that wrote a table of these columns; None if unknown or without special columns."""
+    """The app of `APPS` that writes these columns; None for others."""
     return next((app for app in APPS if set(app.marks) <= set(header)), None)
 
 
@@ -84,7 +84,7 @@ _CELL_MILLIVOLTS = range(2000, 4500)
 
 
 def layout_of(row: Sequence[str]) -> list[str]:
-    """Column names for a headerless row of a known app, as LeafSpy's with 96 cells; or none."""
+    """Column names of a LeafSpy row without a header; empty for other rows."""
     begin = len(_LEAFSPY_BEGIN)
     base = begin + _CELLS + len(_LEAFSPY_END)
     most = base + len(_LEAFSPY_LATER) + 1  # newest logs have a cell beyond their header

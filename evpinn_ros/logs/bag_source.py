@@ -44,7 +44,7 @@ class BagSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Unread files, topics with nearly a missing one's name, implausible battery values."""
+        """Unread files, topics named almost as a missing one, implausible battery values."""
         readings = self._readings
         return *self._reader.notes, *readings.notes, *readings.doubts, *self._watch.notes
 
@@ -64,7 +64,10 @@ class BagSource(Source):
 
 
 def bag_of_topics(path: Path, options: ReadOptions) -> BagSource | None:
-    """A bag with our topics; None for raw frames. InputError: no bag, neither, or several cars."""
+    """A bag with our topics; None if raw frames are to be read instead.
+
+    InputError: no bag, neither of both, or topics of several cars.
+    """
     if options.can_profile is not None and holds_frames(path, options.car):
         return None
     try:

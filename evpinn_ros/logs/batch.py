@@ -73,7 +73,7 @@ class Batch:
 
 
 def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
-    """Group rows into batches; an error of the table is raised after the rows before it."""
+    """Batches of rows; the rows before an error of the table are yielded before it is raised."""
     batch: list[Row] = []
     cells = 0
     try:
@@ -91,7 +91,7 @@ def batches_of(rows: Iterable[Row]) -> Iterator[Batch]:
 
 
 def regrouped(batches: Iterable[Batch]) -> Iterator[Batch]:
-    """The same rows in batches of the size that `batches_of` makes."""
+    """The same rows in batches as large as those of `batches_of`."""
     waiting: list[Batch] = []
     for batch in batches:
         waiting.append(batch)

@@ -1,4 +1,4 @@
-"""Checks a bag's or CAN log's battery: some robots send 0 A, some drivers the charger's sign."""
+"""Checks the battery of a bag or CAN log: some robots send 0 A, some drivers the wrong sign."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from evpinn_ros.core.signals.readings import (
     SpeedReading,
 )
 from evpinn_ros.logs.contradictions import energy_doubts, never_back, wrong_sign
-from evpinn_ros.logs.frozen_values import Standing
+from evpinn_ros.logs.frozen_values import FrozenValues
 from evpinn_ros.logs.quantities import PLACES
 from evpinn_ros.logs.signal import Signal, battery_power, pull, speeds_up_and_down
 from evpinn_ros.logs.source import STRAGGLING_NS
 
-STATED = "it is negative while the battery discharges, and every energy has the other sign"
+STATED = "it must be negative while the battery discharges; now every energy has the wrong sign"
 BLOCK = 20_000  # readings that are checked together
 QUANTITIES = ("speed", "voltage", "current", *PLACES)
 MOST_KEPT = 60_000  # readings to check the sign with: 50 min of speed and battery at 10 Hz
@@ -34,12 +34,12 @@ class BatteryWatch:
         # notes, complete once all is read; doubts are those that make totals uncertain
         self.notes: tuple[str, ...] = ()
         self.doubts: tuple[str, ...] = ()
-        self._standing = Standing(dropped)
+        self._frozen = FrozenValues(dropped)
         self._kept: list[Block] = []
         self._flows_back = False
 
     def on(self, readings: Iterable[Reading]) -> Iterator[Block]:
-        """Blocks without readings that stay constant while the car moves; then any error."""
+        """Blocks without values frozen while the car moves; an InputError of the input is last."""
         block: list[Reading] = []
         newest, error = 0, None
         try:
@@ -56,7 +56,7 @@ class BatteryWatch:
             yield self._measured(Block.of(block))
         signals = self._signals()
         self.doubts = tuple(_doubts(signals))
-        self.notes = (*self._standing.notes, *self.doubts, *self._never_back(signals))
+        self.notes = (*self._frozen.notes, *self.doubts, *self._never_back(signals))
         if error is not None:
             raise error
 
@@ -68,7 +68,7 @@ class BatteryWatch:
             for name, column in zip(names, fields, strict=False):
                 if name in values:
                     values[name][order] = -column if name == "current" else column
-        self._standing.drop(stamps, values, np.argsort(stamps, kind="stable"))
+        self._frozen.drop(stamps, values, np.argsort(stamps, kind="stable"))
         speeds, battery = block.of_kind(SpeedReading), block.of_kind(BatteryReading)
         moves = ~np.isnan(values["speed"][speeds.order]) | np.isnan(speeds.values[0])
         chosen: dict[type[Reading], np.ndarray] = {SpeedReading: moves}

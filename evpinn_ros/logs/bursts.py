@@ -1,7 +1,6 @@
 """Joins rows that an app writes in a burst, one for each part of a message, to one reading.
 
-Stamps of a table are times of writing; stamps of a topic are times of measurement, so this rule
-does not belong to `core`.
+Only tables need this: they are stamped when written, messages of a topic when measured.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from evpinn_ros.logs.signal import FloatArray, Signal
 LONGEST = 0.1  # s, from the first row of a burst to the last
 APART = 5.0  # times `LONGEST`, from one burst to the next
 LEAST_BURSTS, SHARE = 20, 0.3  # bursts of two rows or more, and their share of all
-MOST_TWICE = 0.2  # share of the bursts with a signal told twice, above which rows are readings
+MOST_TWICE = 0.2  # share of bursts that change a signal twice; above it, rows are readings
 
 Places = NDArray[np.intp]
 
@@ -35,21 +34,21 @@ class _Bursts(NamedTuple):
         breaks = np.flatnonzero(np.diff(times) > LONGEST)
         return cls(np.append(0, breaks + 1), np.append(breaks, times.size - 1))
 
-    def told_last(self, values: FloatArray) -> FloatArray:
+    def last_known(self, values: FloatArray) -> FloatArray:
         """Last known value in each burst, shape (n,); NaN if none is known."""
         places = np.where(np.isfinite(values), np.arange(values.size), -1)
-        told = np.maximum.accumulate(places)[self.lasts]
-        return np.where(told >= self.firsts, values[told], np.nan)
+        place = np.maximum.accumulate(places)[self.lasts]
+        return np.where(place >= self.firsts, values[place], np.nan)
 
 
 def join(stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: Places) -> Places:
-    """Last row of each burst of `rows`, which are in time order; it gets the others' values."""
+    """Indices of the last row of each burst of `rows`, in time order; it gets the last values."""
     if not rows.size:
         return rows
     bursts = _Bursts.of((stamps[rows] - stamps[rows[0]]) / NANOSECONDS)
     kept = rows[bursts.lasts]
     for column in values.values():
-        column[kept] = bursts.told_last(column[rows])
+        column[kept] = bursts.last_known(column[rows])
     return kept
 
 
@@ -58,7 +57,7 @@ def joined(signal: Signal) -> Signal:
     there = np.isfinite(signal.time)
     time = signal.time[there]
     bursts = _Bursts.of(time)
-    return Signal(time[bursts.lasts], bursts.told_last(signal.value[there]))
+    return Signal(time[bursts.lasts], bursts.last_known(signal.value[there]))
 
 
 def come_in_bursts(signals: Mapping[str, Signal]) -> bool:
@@ -83,7 +82,7 @@ def come_in_bursts(signals: Mapping[str, Signal]) -> bool:
 
 def _often_twice(number: Places, values: FloatArray, several: NDArray[np.bool_]) -> bool:
     """True if a signal changes more than once in many bursts of several rows."""
-    told = np.isfinite(values)
-    number, values = number[told], values[told]
+    known = np.isfinite(values)
+    number, values = number[known], values[known]
     changes = np.bincount(number[1:][np.diff(values) != 0.0], minlength=several.size)[several]
     return bool((changes > 1).sum() > MOST_TWICE * (changes > 0).sum())

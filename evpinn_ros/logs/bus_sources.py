@@ -60,7 +60,7 @@ class BagFrames:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Files beside the bag that are not read, and lose no message."""
+        """A line for each file beside the bag that is not read; no message is lost by it."""
         return self._reader.notes
 
     def frames(self) -> Iterator[CanFrame]:
@@ -123,7 +123,7 @@ class CanLogSource(Source):
 
     @property
     def problem(self) -> str | None:
-        """Damage of the log, or the point from which it contradicts the profile."""
+        """Damage of the log, or how it contradicts the profile and what to do."""
         if self._bridge.refusal:
             better = self._bridge.better_profile
             other = f"use --can-profile {better}, or " if better else ""
@@ -141,7 +141,7 @@ class CanLogSource(Source):
         return self._watch.doubts
 
     def read(self) -> Iterator[Block]:
-        """Readings up to where the log contradicts the profile; InputError if there are none."""
+        """Readings until the log contradicts the profile; InputError if there are none."""
         self._log, self._bridge = self._open_log(), self._make_bridge()
         self._watch = BatteryWatch(self.dropped)
         self.dropped.clear()
@@ -180,7 +180,7 @@ def open_bus_source(path: Path, vehicle: Vehicle, options: ReadOptions) -> Sourc
     if name is None:
         raise InputError(
             f"{path}: vehicle '{vehicle.key}' names no CAN profile; "
-            "give the --vehicle of a car that does, or --can-profile"
+            "use --can-profile, or --vehicle of a car that has one"
         )
     profile = load_profile(name)
 

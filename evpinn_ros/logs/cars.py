@@ -37,7 +37,7 @@ NAMES = frozenset(
     )
 )
 LEAST_OF_CAR = 5  # rows of the most frequent car
-LEAST_ROWS, LEAST_SHARE = 20, 0.1  # of a car, and relative to the most frequent; fewer are torn
+LEAST_ROWS, LEAST_SHARE = 20, 0.1  # rows of a car, or their share of the most frequent car's
 MOST_CARS = 10_000
 MOST_NAMED = 10  # cars listed in a message
 FRACTION = re.compile(r"[+-]?\d*[.,]\d*[1-9]0*")
@@ -67,12 +67,12 @@ class CarTable:
 
 
 def table_of_car(table: Table, head: Head, car: str | None) -> Table:
-    """The table, or the rows of the chosen car; InputError if there are several and no choice."""
+    """The table, or the rows of the chosen car; InputError: no choice, or no such car."""
     rows = _rows_by_car(table, head)
     cars = {place: names for place in rows if (names := _cars(rows[place]))}
     if not cars:
         if car is not None:
-            raise InputError(f"no column tells cars apart, so there is no car {car!r}")
+            raise InputError(f"no column names cars, so --car {car!r} selects none")
         return table
     place = max(cars, key=lambda column: len(cars[column]))  # a column of models may exist too
     names = cars[place]

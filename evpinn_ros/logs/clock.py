@@ -69,7 +69,7 @@ class Clock:
     why: str = ""  # why it was chosen, for people
     style: Style = POINT  # number style
     daily: bool = False  # True if numbers restart at midnight
-    as_written: bool = False  # True if the format is a person's, for unchanged cells
+    as_written: bool = False  # True if a person gave the format: cells are parsed unchanged
     half_days: bool = False  # True if hours restart at one o'clock, without AM or PM
     drives_from_ns: int | None = None  # time at which each drive restarts; None for a single drive
     order: Order = Order.OLDEST_FIRST  # of the rows
@@ -137,7 +137,7 @@ class RunningClock:
         self._shared = (NONE, 0)  # the last stamp, and its number of rows
 
     def add(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Continuous times of the next rows."""
+        """Continuous times, ns, of the next rows by their stamps, ns, shape (n,) each."""
         there = np.flatnonzero(stamps != NONE)
         if there.size == 0:
             return stamps
@@ -158,6 +158,7 @@ class RunningClock:
     def _turns(
         self, times: NDArray[np.int64], before: NDArray[np.int64], steps: NDArray[np.int64]
     ) -> NDArray[np.int64]:
+        """Time to add from each row on, ns, shape (n,): where the clock restarts or is set."""
         if self._halves:  # jumps at 1 pm, and at midnight, which reads 12
             return HALF_DAY_NS * (
                 1 * half_day_back(steps) - 2 * half_day_back(steps - 3 * HALF_DAY_NS)
@@ -174,6 +175,7 @@ class RunningClock:
         return turns - np.where(straggles, self._period, 0)
 
     def _spread_out(self, times: NDArray[np.int64], spread: RowSpread) -> NDArray[np.int64]:
+        """Times, ns, with rows of one stamp spread evenly over its resolution."""
         begins = np.flatnonzero(np.diff(times, prepend=self._shared[0]) != 0)
         counts = np.arange(times.size)
         before = np.full(times.size, self._shared[1])  # rows of the first stamp in earlier batches

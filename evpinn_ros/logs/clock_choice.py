@@ -44,8 +44,8 @@ SHUFFLED = 0.2  # share of rows much earlier than the last: drives have more row
 SHARED = 0.3  # share of rows with the stamp of the last, if stamps are coarse
 LEAST_SHARED = 3  # shared stamps needed to estimate the interval of rows
 LEAP_NS, LEAST_PART = 600 * NANOSECONDS, 10  # forward, and rows between two leaps
-LEAST_SECONDS = 20  # different seconds that distinguish a clock without colons from a number
-CHANGED = 0.1  # share of these whose value differs from the last
+LEAST_SECONDS = 20  # different seconds that tell a clock without colons from a number
+CHANGED = 0.1  # share of the rows with a shared stamp whose value differs from the last
 LONG_STEP, SLOW = 25.0, 3e-3  # s between rows, and mean change of speed in m/s^2: too slow
 SMOOTH = 0.1  # largest change between rows of a well-sampled speed, as a share of its span
 USUAL_CHANGE = (0.01, 2.0)  # m/s^2, mean of a moving car
@@ -60,7 +60,7 @@ _DATES = {
     "day, month, year": ("%d-%m-%Y", "%d-%m-%y", "%d-%b-%Y", "%d-%b-%y"),
     "month, day, year": ("%m-%d-%Y", "%m-%d-%y", "%b-%d-%Y"),
 }
-ASSUMED_UNIT = "assumed, for no car changes its speed as the unit in the name says"
+ASSUMED_UNIT = "assumed: in the unit of the name, speed would change as no car's does"
 UNITS_OF_SPEED = QUANTITIES["speed"].units
 _CLOCKS_24 = ("%H:%M:%S%.f", "%H:%M")
 _CLOCKS_12 = ("%I:%M:%S%.f %p", "%I:%M %p")
@@ -69,7 +69,7 @@ _SINCE_1970 = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (RELATIVE_BELOW_S, "s")
 
 
 def clocks_of(used: Sequence[Column], survey: Survey, days: Collection[int] = ()) -> list[Clock]:
-    """The clocks of a table, the best first: it reads most rows, never goes back, has the date.
+    """The clocks of a table, best first: those that read most rows, go back least, have the date.
 
     LeafSpy's `epoch time` is continuous where its `Date/Time` jumps with the phone's time zone.
     `days` since 1970 decide between two readings of a date.
@@ -108,7 +108,7 @@ def _clock(column: Column, survey: Survey, days: Collection[int]) -> Clock | Non
     cells = survey.cells[column.place]
     style, unit = survey.styles[column.place], column.unit or None
     numbers = clock_of_numbers(column.place, cells, style, unit, in_seconds=column.is_ours)
-    if column.is_ours:  # in seconds by its name; other cells are counted one by one
+    if column.is_ours:  # in seconds by its name; unreadable cells are counted later
         return numbers or Clock((column.place,), "number", style=style)
     return numbers or clock_of_text((column.place,), [cells], days)
 
@@ -123,13 +123,17 @@ def clock_of_format(column: int, formats: str) -> Clock:
 def clock_of_numbers(
     column: int, cells: Cells, style: Style, unit: str | None, *, in_seconds: bool = False
 ) -> Clock | None:
-    """The clock of a column of numbers; None if most are no times. `in_seconds`: never minutes."""
+    """The clock of a column of numbers; None if most are no times.
+
+    Without `unit`, numbers that do not count from 1970 have the unit of their steps, or seconds if
+    `in_seconds`.
+    """
     values = to_floats(cells, style)
     times = values[np.abs(values) < LARGEST]
-    told = filled(cells)
-    if times.size == 0 or times.size < ENOUGH * len(told):
+    texts = filled(cells)
+    if times.size == 0 or times.size < ENOUGH * len(texts):
         return None
-    if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", told[0].strip()):
+    if re.fullmatch(r"20[0-3]\d[01]\d[0-3]\d[0-2]\d[0-5]\d[0-5]\d", texts[0].strip()):
         return None  # a date such as 20240305070809
     if unit is None and not in_seconds and _is_clock_without_colons(times):
         return None
@@ -151,7 +155,7 @@ def clock_of_numbers(
     clock = Clock((column,), "number", unit=name, why=why, style=style)
     if _begins_anew(times, DAY_NS / UNITS_NS[name]):
         return replace(clock, daily=True)
-    # Drives that each restart at the first time.
+    # Each drive restarts the clock at the first time.
     first, back = times[0], BACK_NS / UNITS_NS[name]
     if _is_in_order(times) and begin_drives(times, times[[0, 0]], first, back).any():
         return replace(clock, drives_from_ns=int(times[0] * UNITS_NS[name]))
@@ -223,6 +227,7 @@ def clock_of_text(
 
 
 def _best(candidates: list[tuple[tuple[float, ...], Clock]]) -> Clock | None:
+    """The best clock; its `why` names an equally good order of year, month and day."""
     if not candidates:
         return None
     candidates.sort(key=lambda candidate: candidate[0])
@@ -292,7 +297,7 @@ def _is_of_half_days(clock: Clock, stamps: NDArray[np.int64]) -> bool:
 def _in_its_order(
     clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
 ) -> Clock:
-    """The clock with the order of rows; no new drive begins in stacked columns."""
+    """The clock with the order of rows; columns stacked in one table are no new drives."""
     there = stamps != NONE
     if not _is_newest_first(stamps[there]) and _goes_back(stamps[there]):
         numbers = (
@@ -315,7 +320,7 @@ def _in_its_order(
 def _spread_of(
     clock: Clock, stamps: NDArray[np.int64], survey: Survey, times: Collection[int]
 ) -> RowSpread | None:
-    """How rows share coarse stamps; None if rows of one stamp are of one moment."""
+    """How rows share coarse stamps; None if rows with one stamp are of one moment."""
     if clock.order is Order.SHUFFLED:
         return None
     rows = clock.order.rows(stamps)
@@ -401,6 +406,7 @@ def _is_day_alone(clock: Clock, stamps: NDArray[np.int64]) -> bool:
 
 
 def _merit(clock: Clock, stamps: NDArray[np.int64], name: str) -> tuple[float, ...]:
+    """Sort key, best last: share of rows read, steps back, rising steps, date, name."""
     if clock.order is Order.NEWEST_FIRST:
         stamps = stamps[::-1]
     stamps = clock.running().add(stamps)

@@ -1,4 +1,4 @@
-"""Start of a clock without a date, from another column, the file's name or a comment."""
+"""Finds the start of a clock without a date: in another column, the file's name, a comment."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ _NAMED_DATE = re.compile(
 def start_by_date(
     clock: Clock, others: Sequence[Clock], survey: Survey
 ) -> tuple[int, Clock] | None:
-    """Stamp of time 0 of a clock without date, ns, and the clock with the date; oldest first."""
+    """Stamp, ns, of time 0 of a clock without a date, and the clock that has the date; or None.
+
+    The rows of the survey are in order of time.
+    """
     times = clock.running().add(clock.stamps(survey.cells))
     for other in others:
         if not other.dated:
@@ -65,10 +68,14 @@ def days_of_name(name: str) -> frozenset[int]:
 
 
 def day_of_name(name: str, first_ns: int, *, certain: bool) -> int | None:
-    """Midnight of the date in a file's name, ns; None if its time differs, or is not `certain`."""
+    """Midnight, ns, of the date in a file's name; None without a date that fits.
+
+    The name's time of day must be within an hour of `first_ns`; a date without time needs
+    `certain`.
+    """
     for day_ns, clock_ns in dates_of_name(name):
-        alike = clock_ns is not None and abs(clock_ns - first_ns % DAY_NS) <= 3600 * NANOSECONDS
-        if alike or (clock_ns is None and certain):
+        agrees = clock_ns is not None and abs(clock_ns - first_ns % DAY_NS) <= 3600 * NANOSECONDS
+        if agrees or (clock_ns is None and certain):
             return day_ns
     return None
 

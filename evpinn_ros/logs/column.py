@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -50,7 +51,7 @@ class Column:
     name: str  # in the file
     factor: float = 1.0  # to SI
     unit: str = ""  # of the file, with a minus if the sign is turned
-    why: str = ""  # reason for the unit; empty if the name is one of ours
+    why: str = ""  # source of the unit, for people; empty if the name is one of ours
     offset: float = 0.0  # to SI, added after the factor
     place: int = 0  # of the column in the file, from 0
     wraps: float = 0.0  # in the file's unit: span of numbers whose upper half is negative
@@ -109,7 +110,7 @@ class Column:
             return f"{self.quantity}: the sign of {self.name!r} is assumed; {option} turns it"
         return (
             f"{self.quantity}: {self.name!r} is assumed to be in {self.unit}, "
-            f"and could be in {' or '.join(self.could_be)}; {option}"
+            f"and could be in {' or '.join(self.could_be)}; {option} sets that"
         )
 
     def in_unit(self, text: str, why: str) -> Column:
@@ -134,8 +135,9 @@ def columns_by_name(
     given = [_chosen(text, header) for text in chosen]
     quantities = {column.quantity for column in given}
     columns = [column for column in ours if column.quantity not in quantities] + given
-    if len({column.quantity for column in ours}) < len(ours):
-        raise InputError("a column is there twice")
+    for name, count in Counter(column.name for column in ours).items():
+        if count > 1:
+            raise InputError(f"column {name!r} is there twice; rename one")
     quantities = {column.quantity for column in columns}
     taken = {column.place for column in columns} | set(unit_places(header).values())
     app = app_of(header)
@@ -155,18 +157,8 @@ def columns_by_name(
         # Power is voltage times current; then a foreign column of power is not needed.
         if quantity == "power" and {"voltage", "current"} <= quantities:
             continue
-        free = (i for i in range(len(header)) if i not in taken and i not in empty)
-        scores = {
-            i: math.inf if header[i] == best_name else score(quantity, header[i]) for i in free
-        }
-        if quantity not in NEEDED:
-            scores = {
-                i: name_score
-                for i, name_score in scores.items()
-                if not _foreign(quantity, header[i])
-            }
-        best = max(scores, key=lambda i: scores[i], default=None)
-        if best is not None and scores[best] > 0:
+        best = _best_place(quantity, header, taken | {*empty}, best_name)
+        if best is not None:
             column = column_of(quantity, header, best)
             columns.append(replace(column, back=_flows_back(quantity, header, best)))
             quantities.add(quantity)
@@ -174,17 +166,35 @@ def columns_by_name(
     return columns
 
 
+def _best_place(
+    quantity: str, header: Sequence[str], taken: Collection[int], best_name: str | None
+) -> int | None:
+    """Index of the column whose name fits a quantity best, or None; never one of `taken`.
+
+    A column in a unit that the quantity does not have is chosen only for a needed quantity.
+    """
+    scores = {
+        i: math.inf if name == best_name else score(quantity, name)
+        for i, name in enumerate(header)
+        if i not in taken and (quantity in NEEDED or not _foreign(quantity, name))
+    }
+    best = max(scores, key=lambda i: scores[i], default=None)
+    return best if best is not None and scores[best] > 0 else None
+
+
 def unit_places(header: Sequence[str]) -> dict[int, int]:
     """Indices of columns that hold the unit of another column, by that column's index."""
-    words = [words_of(name)[0].split() for name in header]
-    bare = [tuple(w for w in of if w not in UNIT_WORDS | VALUE_WORDS) for of in words]
-    units = {bare[i]: i for i, of in enumerate(words) if bare[i] and not UNIT_WORDS.isdisjoint(of)}
-    of_others = ((i, units.get(name)) for i, name in enumerate(bare))
-    return {i: place for i, place in of_others if place not in (None, i)}
+    names = [words_of(name)[0].split() for name in header]
+    bare = [tuple(w for w in words if w not in UNIT_WORDS | VALUE_WORDS) for words in names]
+    units = {
+        bare[i]: i for i, words in enumerate(names) if bare[i] and UNIT_WORDS.intersection(words)
+    }
+    units_of = ((i, units.get(name)) for i, name in enumerate(bare))
+    return {i: place for i, place in units_of if place not in (None, i)}
 
 
 def _flows_back(quantity: str, header: Sequence[str], place: int) -> int | None:
-    """Index of the column of returned energy whose name is otherwise the same, or None."""
+    """Index of the column of returned energy with otherwise the same name, or None."""
     if quantity not in SIGNED:
         return None
     names = [words_of(name) for name in header]
@@ -221,7 +231,7 @@ def check_columns(
     if battery and not is_complete(quantities):
         say = "--column voltage=NAME --column current=NAME, or --column power=NAME"
         single = [name for name in ("voltage", "current") if name in quantities]
-        lacks = f"a column of {single[0]} alone" if single else "no columns of voltage and current"
+        lacks = f"only a column of {single[0]}" if single else "no columns of voltage and current"
         raise InputError(f"{lacks}, and none of power; {there}; say {say}")
 
 

@@ -1,4 +1,4 @@
-"""Parquet and Feather as text, by polars, which runs apart (`common.sandbox`)."""
+"""Converts Parquet and Feather to CSV by polars in another process (`common.sandbox`)."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ with optional_imports():
 
 
 def write_columns(path: Path, out: Path) -> None:
-    """Write the columns of such a file as text: names first, then a row per line."""
+    """Write a Parquet or Feather file as CSV, without nested columns."""
     with open_file(path) as file:
         # By file descriptor, as a name may contain glob characters or not be text.
         source = f"/dev/fd/{file.fileno()}"
         is_parquet = path.suffix.lower() in (".parquet", ".pq")
         frame = pl.scan_parquet(source) if is_parquet else pl.scan_ipc(source)
-        # Nested columns hold no signal; tables of ours or of pandas have none.
+        # Nested columns hold no signal.
         schema = frame.collect_schema()
         flat = {name: kind for name, kind in schema.items() if not kind.is_nested()}
         if len(flat) > MOST_COLUMNS:

@@ -71,7 +71,7 @@ class Contents:
 def contents(
     path: Path, options: ReadOptions = READ_DEFAULTS, bar: Bar = lambda _: nullcontext()
 ) -> Contents:
-    """Examine a bag, a CAN log or a table; InputError if none. `bar` gets its length, s."""
+    """Examine a bag, a CAN log or a table, or raise InputError; `bar` gets its length, s."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
@@ -96,7 +96,7 @@ def contents(
     recording = replace(recording, frames=report.frames, profile=profile, vehicles=names)
     if profile is None and recording.kind != "bag":
         return replace(
-            recording, notes=("no known CAN profile fits: evpinn can inspect says why",)
+            recording, notes=(f"no known CAN profile fits: evpinn can inspect {path} says why",)
         )
     return _with_drive(recording, options, bar)
 
@@ -140,7 +140,7 @@ def _begin_ns(block: Block) -> int:
 
 
 def _source(recording: Contents, options: ReadOptions) -> Source:
-    """The drive in a recording; our topics have priority over the frames of a bag."""
+    """The drive in a recording; a bag with both is read by our topics, not its frames."""
     vehicle = load_vehicle(GENERIC)
     if recording.kind == "bag":
         from evpinn_ros.logs.bag_source import bag_of_topics

@@ -1,4 +1,4 @@
-"""Sentences on columns that contradict each other or the car, and on uncertain totals."""
+"""Writes sentences on columns that contradict each other or the car, and on uncertain totals."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ LONGEST_PAIR = 2.5  # s between a power and its neighbours that imply its sign
 STRONG = 0.3  # share of most returned powers: above noise
 MIRRORED = 0.4  # share by which a power without its sign differs from its neighbours
 LEAST_LOST = 3  # powers needed to judge
-LEAST_LONE, LONE = 2, 0.035  # powers without their sign between signed ones, and their share
+LEAST_LONE, LONE = 2, 0.035  # positive powers between two negative ones, and their share
 LEAST_BRAKED, BRAKED = 10, 0.12  # s of hard braking, and their share
 LEAST_CLIPPED, CLIPPED = 10, 0.01  # values at the largest one, and their share
-BEYOND = 1.1  # mean power of accelerating over the largest power, if that is clipped
+BEYOND = 1.1  # fitted mean power over the largest power, above which that is clipped
 HARD_ON = 10_000.0  # W from which on a battery's voltage drops by some V
 LIGHT_BELOW, HARD_ON_LIGHT = 60.0, 25.0  # V, and A of such a battery, for the same
 LEAST_TURNS, TURNS = 50, 100  # readings that show whether two batteries alternate
@@ -167,7 +167,7 @@ def lost_signs(drawn: Signal, speed: Signal, of: str) -> Iterator[str]:
     is_lost = (lone & back[2:]).sum() >= max(LEAST_LONE, LONE * smooth.sum())
     if is_lost or _mirrored(drawn, speed):
         yield (
-            f"while the car brakes, some numbers of {of} are of the size that flows back, but "
+            f"while the car brakes, some values of {of} are as large as its negative ones, but "
             "positive: they have lost their sign, so every energy is too large"
         )
 
@@ -210,9 +210,8 @@ def clipped(drawn: Signal, speed: Signal, of: str, unit: tuple[float, str]) -> I
     coefficients = np.linalg.lstsq(road[below], power[below], rcond=None)[0]
     if float(np.mean(road[above] @ coefficients)) > BEYOND * largest:
         yield (
-            f"{of} is never above {largest * unit[0]:.4g} {unit[1]}, and {count} times just that, "
-            "also while the car speeds up harder: it seems to be clipped, so every energy is too "
-            "small"
+            f"{of} is never above {largest * unit[0]:.4g} {unit[1]} and reaches it {count} times, "
+            "also while the car needs more: it seems to be clipped, so every energy is too small"
         )
 
 
@@ -227,7 +226,7 @@ def constant_voltage(voltage: Signal, current: Signal) -> Iterator[str]:
     if high - low <= CONSTANT * middle and swing > least:
         yield (
             f"the voltage is always {middle:.4g} V while the current changes by {swing:.0f} A, so "
-            "it is not measured but assumed to be a nominal one: energies are as far off as it is"
+            "it is nominal, not measured: energies are off by the same percentage"
         )
         return
     time, value = voltage.points()
@@ -240,7 +239,7 @@ def constant_voltage(voltage: Signal, current: Signal) -> Iterator[str]:
         yield (
             f"the voltage stands still at {value[first]:.4g} V from {time[first]:.0f} s on for "
             f"{time[last] - time[first]:.0f} s while the current changes by {swing:.0f} A, so it "
-            "is not measured there: energies may be off by a few percent"
+            "is not measured then: energies may be off by a few percent"
         )
 
 
@@ -258,13 +257,13 @@ def _compared(column: Column, power: Signal, drawn: Signal) -> Iterator[str]:
     if np.isnan(alike):
         return
     if abs(alike) < ALIKE:
-        yield f"{name!r} has little in common with voltage times current, which are used"
+        yield f"{name!r} does not follow voltage times current, which are used instead"
         return
     both = np.isfinite(at) & np.isfinite(drawn.value)
     ratio = float(np.std(at[both]) / np.std(drawn.value[both]))
     if not column.has_unit:  # W, kW or mW
         ratio /= 1e3 ** round(np.log10(ratio) / 3.0)
     if alike < 0.0:
-        yield f"{name!r} has the other sign than voltage times current, which are used"
+        yield f"{name!r} has the opposite sign of voltage times current, which are used instead"
     if not SAME_SIZE[0] < ratio < SAME_SIZE[1]:
-        yield f"{name!r} is {ratio:.2g} times voltage times current, which are used"
+        yield f"{name!r} is {ratio:.2g} times voltage times current, which are used instead"

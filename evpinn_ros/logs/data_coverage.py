@@ -1,4 +1,4 @@
-"""Data coverage of a recorded drive: speed and battery together, moving."""
+"""Data coverage of a recorded drive: when speed and battery are known, and the car moves."""
 
 from __future__ import annotations
 
@@ -127,8 +127,8 @@ class DataCoverage:
             if not self.spans and flow.longest_gap * NANOSECONDS > flow.limit_ns:
                 return (
                     f"nothing can be learned: {kind} comes {flow.rate:.2g} times a second with "
-                    f"gaps to {flow.longest_gap:.3g} s; {flow.limit_ns / NANOSECONDS:.3g} s at "
-                    "most are bridged"
+                    f"gaps of up to {flow.longest_gap:.3g} s; only gaps of up to "
+                    f"{flow.limit_ns / NANOSECONDS:.3g} s are bridged"
                 )
         if not self.spans:
             return f"nothing can be learned: no {SHORTEST:g} s with both speed and battery"
@@ -138,7 +138,7 @@ class DataCoverage:
 
 
 def data_coverage(blocks: Iterable[Block]) -> DataCoverage:
-    """Summarise the readings of a drive; signals have separate stamps."""
+    """Coverage of the readings of a drive, whose signals may have separate stamps."""
     parts: dict[str, list[tuple[Stamps, np.ndarray]]] = {
         name: [(np.empty(0, np.int64), np.empty(0))] for kind in KINDS for name in _names(kind)
     }

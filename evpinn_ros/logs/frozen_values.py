@@ -49,7 +49,7 @@ LEAST_STAND = 10.0  # s
 WINDOW = 15.0  # s; over longer windows a hill looks like speeding up
 UNSEEN = 1.0  # m/s^2: swing of power over mass in most windows while the speed is frozen
 LONG, UNSEEN_LONG = 60.0, 0.4  # s, m/s^2: no driver or cruise control keeps a speed so constant
-DRIVING, STANDING = 8.0, 5.0  # m/s at which power swings so: a standing car gives and takes less
+DRIVING, STANDING = 8.0, 5.0  # m/s for the threshold of power: least, and for a speed frozen at 0
 LEAST_CYCLES, LEAST_RISES = 4, 2  # changes between giving and taking, and to a large power
 LEAST_WORK, NO_STANDING_LOAD = 50.0, 15_000.0  # W: above an offset; above any heater
 LEAST_TURNS = 2  # changes from giving to taking or back
@@ -58,7 +58,7 @@ FINER = 5.0  # least change of a current, in resolutions
 WRONG_WAY, APART = 0.15, 50.0  # share of a distance, and m between positions
 LEAST_WAY = 200.0  # m: positions drift while a car stands
 OTHER_WAY = 0.3  # logarithm of a ratio of distances that no odometer error explains
-OTHER_UNIT = 0.4  # the same of positions, which bends bring nearer; mph and km/h are 0.48 apart
+OTHER_UNIT = 0.4  # the same for positions, nearer by bends; mph and km/h are 0.48 apart
 SLOWEST_UNIT = 1.0 / 3.6  # m/s: of km/h; knots and mph are larger
 MOST_ASKED = 1000  # values used to find a resolution
 LEAST_ZEROS, ZEROS = 10, 0.25  # stretches of zeros, and their share of the moments of most power
@@ -67,8 +67,8 @@ LEAST_LEAPS, MOST_LEAPS = 6, 0.1  # leaps to zero and back, and their share of a
 Signals = dict[str, Signal]
 
 
-class Standing:
-    """Removes values that are not measured from a drive, block by block."""
+class FrozenValues:
+    """Removes values that were not measured from a drive, block by block; notes them."""
 
     def __init__(self, dropped: Counter[str]) -> None:
         self._dropped = dropped
@@ -83,13 +83,19 @@ class Standing:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on the removed values; complete once all blocks are through."""
-        return tuple(self._said())
+        """Sentences on the removed values; complete after the last block."""
+        return tuple(self._sentences())
 
     def drop(
         self, stamps: NDArray[np.int64], values: Mapping[str, FloatArray], rows: NDArray[np.intp]
     ) -> None:
-        """Set unmeasured SI `values` to NaN in `rows`, indices in time order."""
+        """Set values of a block that were not measured to NaN.
+
+        Args:
+            stamps: of all rows of the block, ns, shape (n,).
+            values: of these rows, SI, by quantity, shape (n,) each; modified in place.
+            rows: indices of the rows in use, in order of time.
+        """
         if "speed" not in values or not rows.size:
             return
         self._zero_ns = int(stamps[rows[0]]) if self._zero_ns is None else self._zero_ns
@@ -129,24 +135,24 @@ class Standing:
         ):
             ways += [way] if way > 0.0 else []
 
-    def _said(self) -> Iterator[str]:
+    def _sentences(self) -> Iterator[str]:
         way = float(np.median(self._ways)) if self._ways else 1.0
         if abs(np.log(way)) > OTHER_WAY:
             yield (
-                f"the odometer counts {way:.2g} times the way that the speed shows, so the unit "
-                "of one is probably wrong; --column speed=NAME:UNIT or odometer=NAME:UNIT sets it"
+                f"the odometer counts {way:.2g} times the distance that the speed gives, so one "
+                "unit is probably wrong; --column speed=NAME:UNIT or odometer=NAME:UNIT sets it"
             )
         road = float(np.median(self._roads)) if self._roads else 1.0
         if abs(np.log(road)) > OTHER_UNIT:
             yield (
-                f"the positions are {road:.2g} times as far apart as the speed shows, so its unit "
+                f"the positions are {road:.2g} times as far apart as the speed gives, so its unit "
                 "is probably wrong; --column speed=NAME:UNIT sets it"
             )
         if self._leaps > max(LEAST_LEAPS, MOST_LEAPS * self._steps):
             yield (
                 f"the speed leaps in {100.0 * self._leaps / self._steps:.0f} % of its steps as no "
-                "car does, so doubt all totals: are there rows of several cars, or is it in "
-                "another unit?"
+                "car does, so doubt all totals: are there rows of several cars, or is its unit "
+                "wrong?"
             )
         for how, (lost, *again) in self._lost.items():
             yield (
@@ -156,8 +162,8 @@ class Standing:
         for name, zeros in self._zeros.items():
             share = 100.0 * zeros / self._readings[name]
             yield (
-                f"{name}: {share:.0f} % of its values are 0, also while the car drives hardest, "
-                "so zeros are not used"
+                f"{name}: {share:.0f} % of its values are 0, also while the car accelerates "
+                "hardest, so zeros are not used"
             )
         for name, stands in self._stands.items():
             (stand, why), *others = stands
@@ -189,7 +195,7 @@ def _signals(
 
 
 def measured_alone(signals: Mapping[str, Signal]) -> Signals:
-    """Signals of one table in units not known yet, without zeros that fill cells."""
+    """Signals, in the file's units, without zeros that fill cells or mean a sensor that is off."""
     measured = dict(signals)
     if "voltage" in signals:
         off = signals["voltage"].value == 0.0  # the sensor is off, and so is its current
@@ -204,7 +210,7 @@ def measured_alone(signals: Mapping[str, Signal]) -> Signals:
 
 
 def filled(signals: Mapping[str, Signal], least_unit: float = 1.0) -> set[str]:
-    """Names of signals whose zeros fill cells; the unit of speed is `least_unit`, m/s, or more."""
+    """Names of signals whose zeros only fill cells; speed has a unit of >= `least_unit` m/s."""
     speed, names = signals["speed"], set()
     if _leaps_to_zero(speed, least_unit):
         names.add("speed")
@@ -228,7 +234,7 @@ def without_zeros(signal: Signal) -> Signal:
 
 
 def _is_fill(time: FloatArray, value: FloatArray, hardest: FloatArray) -> bool:
-    """True if a fine signal is often 0 at moments of most power, in several stretches."""
+    """True if a signal of fine resolution is often 0 at the `hardest` moments, s, in stretches."""
     at = np.clip(np.searchsorted(time, hardest), 0, time.size - 1)
     zero = value[at] == 0.0
     stretch = np.cumsum(np.diff(value == 0.0, prepend=False))[at[zero]]
@@ -296,7 +302,7 @@ def _without(signal: Signal, stands: list[Stand]) -> Signal:
 
 
 def _other_way(stand: Stand, seen: Signal, signals: Signals) -> str:
-    """Evidence of another distance than that of the frozen speed; empty without."""
+    """Evidence, for people, of a distance other than that at the frozen speed; "" for none."""
     expected = abs(stand.value) * stand.seconds
     if signals.keys() >= set(PLACES):
         _, steps = steps_of_places({name: stand.holds(signals[name]) for name in PLACES}, APART)

@@ -1,8 +1,7 @@
-"""Converts JSON to text, a row per object: objects of lines, or the longest list of a document.
+"""Converts JSON to CSV, a row per object: one per line, or the longest list of a document.
 
-Nested values are named by their path: `telemetry.kmh`.
-
-polars cannot read a file with a `NaN` or a truncated last line.
+Nested values are named by their path: `telemetry.kmh`. polars is not used, as it refuses a file
+with a `NaN` or a truncated last line.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ _decoded = json.JSONDecoder(parse_constant=lambda _: None).decode
 
 
 def write_objects(path: Path, out: Path) -> None:
-    """Write names and values; InputError at the end if some lines were no objects."""
+    """Write the objects of a JSON file as CSV; InputError at the end if lines are no objects."""
     if path.suffix.lower() == ".json":
         with open_file(path) as file, suppress(ValueError, RecursionError):
             rows = list(map(flat, longest_list(_decoded(file.read().decode("utf-8-sig")))))

@@ -1,4 +1,4 @@
-"""Measured signals of an .mf4 as a long table; damaged files crash asammdf: it runs apart."""
+"""Converts signals of an .mf4 to a long CSV by asammdf in another process, as it may crash."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HEADER = ("seconds", "name", "value", "unit")
 
 
 def write_signals(path: Path, out: Path) -> None:
-    """Write useful signals of an .mf4 in time order; no file if there are none."""
+    """Write the useful signals of an .mf4 in time order; no file if there are none."""
     with optional_imports():
         from asammdf import MDF
     stamps, names, values = [], [], []

@@ -1,4 +1,4 @@
-"""Numbers as apps write them: with decimal commas, thousands, signs, and missing values."""
+"""Parses numbers as apps write them: decimal commas, thousands, signs, missing values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ with optional_imports():
 # Texts of a missing value; NaN is that of MATLAB and pandas.
 MISSING = frozenset(("", "na", "n/a", "nan", "none", "null", "-", "--", "---", "?", "no data"))
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Range of sizes of measured values in any unit; squares beyond it would overflow."""
+"""Range of absolute values in any unit; squares of larger ones would overflow."""
 _SPACES = "[ \u00a0\u202f'\u2019_]"
 
 
@@ -43,7 +43,7 @@ def filled(cells: Cells) -> pl.Series:
 
 
 def style_of(cells: Cells) -> Style | None:
-    """Decimal and thousands separators of cells; None if uncertain: `12,345`, not `12,5`."""
+    """Decimal and thousands separators of cells; None if both styles fit, as for `12,345`."""
     text = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     votes = {style: text.str.contains(_certain(style)).sum() for style in (POINT, COMMA)}
     if votes[POINT] == votes[COMMA]:
@@ -60,11 +60,11 @@ def _certain(style: Style) -> str:
 
 
 def to_floats(cells: Cells, style: Style) -> NDArray[np.float64]:
-    """The numbers of cells; NaN if missing or absurd. Shape as the cells."""
+    """The numbers of n cells, shape (n,); NaN if missing, unreadable or above `LARGEST`."""
     series = pl.Series("", cells, dtype=pl.String).str.strip_chars()
     values = series.cast(pl.Float64, strict=False)
-    left = values.is_null() & (series != "")
-    if style == COMMA or left.any():
+    unread = values.is_null() & (series != "")
+    if style == COMMA or unread.any():
         written = series.str.replace_all(_SPACES, "").str.replace_all("\u2212", "-", literal=True)
         # A thousands separator stands before three digits: 1,23 is then no number.
         sign = re.escape(style.thousands)
@@ -75,9 +75,8 @@ def to_floats(cells: Cells, style: Style) -> NDArray[np.float64]:
         ).to_series()
         if style == COMMA:
             written = written.str.replace(",", ".", literal=True)
-        again = written.cast(pl.Float64, strict=False)
-        keep = again if style == COMMA else values.fill_null(again)
-        values = keep
+        parsed = written.cast(pl.Float64, strict=False)
+        values = parsed if style == COMMA else values.fill_null(parsed)
     numbers = np.asarray(values.fill_null(float("nan")))
     sizes = np.abs(numbers)
     return np.where(sizes < LARGEST, np.where(sizes > SMALLEST, numbers, 0.0), np.nan)

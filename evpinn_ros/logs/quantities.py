@@ -223,11 +223,11 @@ PLACES = ("latitude", "longitude")
 NEEDED = frozenset(("time", "speed", "voltage", "current", "power"))  # needed, or most of these
 BY_COLUMN = {quantity.column: name for name, quantity in QUANTITIES.items()}
 ANGLES = frozenset(_DEGREES)  # units of a grade given as an angle
-# In brackets after a name, but not a unit: the source of the number.
 ONE_WORD = ("speed", "power")  # quantities that a unit alone can name
 WORSE = 100.0  # penalty of a name with a worse phrase
 SHORTEST_SPELLED = 3  # letters of a unit that may occur anywhere in a name
 _SPELLED = ("seconds", "minutes", "hours", "milliseconds", "millis")
+# Words in brackets after a name that are no unit, but the source of the number.
 QUALIFIERS = _phrases("obd,gps,can,ecu,raw,hv,ev,bms,outside,since journey start,real")
 
 
@@ -287,7 +287,7 @@ def may_be_of_use(name: str) -> bool:
 
 
 def unit_of(quantity: str, name: str) -> tuple[str, Unit | None]:
-    """Spelling and meaning of a name's unit; (text, None) for an unknown one, ("", None): none."""
+    """Spelling and unit in a name; (text, None) if it is unknown, ("", None) if there is none."""
     units = QUANTITIES[quantity].units
     words, brackets = words_of(name)
     if brackets and (unit := known_unit(quantity, brackets[-1])):

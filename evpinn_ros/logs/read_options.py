@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """Options that a recording does not determine; each kind of recording uses its own."""
+    """Options for reading a recording; each kind of recording uses some of them."""
 
     can_profile: str | None = None  # of a CAN log; None: the vehicle's
     trust_profile: bool = False  # True: read a CAN log even if it contradicts the profile

@@ -89,8 +89,8 @@ class HeldSignals:
             rows: indices of the rows in use, in order of time.
         """
         for name, (since_ns, last) in self._last.items():
-            told = rows[~np.isnan(values[name][rows])]
-            columns = told.tolist(), stamps[told].tolist(), values[name][told].tolist()
+            known = rows[~np.isnan(values[name][rows])]
+            columns = known.tolist(), stamps[known].tolist(), values[name][known].tolist()
             for row, stamp_ns, value in zip(*columns, strict=True):
                 if value == last and stamp_ns - since_ns < LONGEST_HELD_NS:
                     values[name][row] = np.nan
@@ -134,11 +134,11 @@ class RowBlocks:
         }
         if not columns:
             return Block(0, {})
-        told = np.array([there for there, _ in columns.values()]).T
-        order = np.cumsum(told).reshape(told.shape) - 1
-        self.used += int(told.any(axis=1).sum())
+        has_reading = np.array([there for there, _ in columns.values()]).T
+        order = np.cumsum(has_reading).reshape(has_reading.shape) - 1
+        self.used += int(has_reading.any(axis=1).sum())
         return Block(
-            int(told.sum()),
+            int(has_reading.sum()),
             {
                 kind: Rows(order[there, i], stamps[there], np.array(fields)[:, there])
                 for i, (kind, (there, fields)) in enumerate(columns.items())
@@ -151,8 +151,8 @@ class RowBlocks:
         """Each kind of reading, the mask of its rows, and its fields, shape (n,) each."""
         empty = np.full(stamps.size, np.nan)
 
-        def told(name: str, *quantities: str) -> NDArray[np.bool_]:
-            """Rows in which any of the quantities is first known at its stamp."""
+        def rows_of(name: str, *quantities: str) -> NDArray[np.bool_]:
+            """Mask of rows with a value of these quantities, newer than the last of `name`."""
             there = np.isfinite([values.get(quantity, empty) for quantity in quantities])
             return self._new(name, stamps, np.asarray(there.any(axis=0)))
 
@@ -160,22 +160,22 @@ class RowBlocks:
             return tuple(values.get(quantity, empty) for quantity in quantities)
 
         if "speed" in values:
-            yield SpeedReading, told("speed", "speed"), (values["speed"], empty)
+            yield SpeedReading, rows_of("speed", "speed"), (values["speed"], empty)
         if values.keys() & {*BATTERY}:
             yield BatteryReading, *self._batteries(stamps, *fields(*BATTERY))
         if "elevation" in values:
             places = fields("elevation", "latitude", "longitude")
-            yield AltitudeReading, told("elevation", "elevation"), places
+            yield AltitudeReading, rows_of("elevation", "elevation"), places
         if "grade" in values:
-            yield GradeReading, told("grade", "grade"), fields("grade")
+            yield GradeReading, rows_of("grade", "grade"), fields("grade")
         if "ambient" in values:
-            yield TemperatureReading, told("ambient", "ambient"), fields("ambient")
+            yield TemperatureReading, rows_of("ambient", "ambient"), fields("ambient")
         if values.keys() & {*LOADS}:
             loads = tuple(np.nan_to_num(column) for column in fields(*LOADS))
-            yield AuxiliaryReading, told("loads", *LOADS), loads
+            yield AuxiliaryReading, rows_of("loads", *LOADS), loads
         if "motor_torque" in values:
             torque = fields("motor_torque", "motor_speed")
-            yield MotorReading, told("motor", "motor_torque"), torque
+            yield MotorReading, rows_of("motor", "motor_torque"), torque
 
     def _limit(self, values: Mapping[str, FloatArray]) -> None:
         """Remove values that no sensor measures."""
@@ -204,7 +204,10 @@ class RowBlocks:
         power: FloatArray,
         charge: FloatArray,
     ) -> tuple[NDArray[np.bool_], tuple[FloatArray, ...]]:
-        """Voltage and current; if one is missing, from power by the last or nominal voltage."""
+        """Mask of rows with a reading, and its fields; power gives a missing voltage or current.
+
+        Power becomes current at the last voltage, or at the nominal one before the first.
+        """
         from_power = np.isfinite(power) & np.isnan(volts + amperes)
         measured = np.isfinite(volts)
         held = last_known(np.append(self._last_volts, volts))
@@ -214,12 +217,12 @@ class RowBlocks:
         volts = np.where(from_power & ~measured, held[1:], volts)
         volts = np.where(unknown, self._nominal_voltage, volts)
         amperes = np.where(from_power, power / volts, amperes)
-        told = np.ones(stamps.size, dtype=bool)
+        used = np.ones(stamps.size, dtype=bool)
         columns = {"voltage": measured, "current": np.isfinite(amperes)}
         for name, there in (columns | {"charge": np.isfinite(charge)}).items():
-            told &= ~(told & there) | self._new(name, stamps, told & there)
-        told &= np.isfinite([volts, amperes, charge]).any(axis=0)
-        return told, (volts, -amperes, charge / 100.0, np.full(stamps.size, np.nan))
+            used &= ~(used & there) | self._new(name, stamps, used & there)
+        used &= np.isfinite([volts, amperes, charge]).any(axis=0)
+        return used, (volts, -amperes, charge / 100.0, np.full(stamps.size, np.nan))
 
     def _new(
         self, name: str, stamps: NDArray[np.int64], there: NDArray[np.bool_]

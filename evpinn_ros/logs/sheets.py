@@ -1,4 +1,4 @@
-"""Converts workbooks to text by openpyxl in another process (`common.sandbox`)."""
+"""Converts workbooks to CSV by openpyxl in another process (`common.sandbox`)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EMPTY_ABOVE = 50  # rows above the header
 
 
 def write_sheet(path: Path, out: Path) -> None:
-    """Write the first visible sheet with a table of an .xlsx, and the sheets that continue it."""
+    """Write the first visible sheet with a drive, and the sheets with the same header, as CSV."""
     with optional_imports():
         from openpyxl import load_workbook
     with open_file(path) as file, new_table(out) as table:
@@ -33,9 +33,10 @@ def write_sheet(path: Path, out: Path) -> None:
         sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
         sheets = sheets or book.worksheets
         heads = {sheet.title: list(islice(_rows(sheet), 2)) for sheet in sheets}
+        # A sheet of a single line is a note.
         tables = [sheet for sheet in sheets if len(heads[sheet.title]) == 2] or sheets[-1:]
         drives = [sheet for sheet in tables if names_some(heads[sheet.title][0])]
-        first = next(iter(drives), tables[0])  # a single line is a note
+        first = next(iter(drives), tables[0])
         same = [sheet for sheet in tables if heads[sheet.title][:1] == heads[first.title][:1]]
         if others := [sheet.title for sheet in tables if sheet not in same]:
             writer.writerow([f"{OTHER_SHEETS}{', '.join(map(plain_cell, others))}"])
@@ -52,7 +53,7 @@ def _rows(sheet: Any) -> Iterator[list[str]]:
             raise InputError(f"a row of more than {MOST_COLUMNS} columns")
         row = [_text(cell) for cell in cells]
         if any(row):
-            # Rows keep their numbers in the sheet.
+            # Empty rows are written too, so that rows keep their numbers of the sheet.
             yield from ([] for _ in range(empty))
             empty, begun = 0, True
             yield row

@@ -1,4 +1,4 @@
-"""Columns as signals: accelerations, interpolation, and the mass that a power moves."""
+"""Columns as signals: accelerations, interpolation, distances, and the mass from power."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LONGEST_STEP = 10.05
 EARTH = 6_371_000.0  # m
 LEAST_WAY = 1e-9  # in any unit
 HARDEST, LEAST_LEAP, LONGEST_LEAP = 4.0, 1.0, 3.0  # m/s^2, m/s, s
-LIKE = 0.4  # correlation of power with speed times acceleration from which on they give the mass
+LIKE = 0.4  # least correlation of power with speed times acceleration that gives the mass
 
 FloatArray = NDArray[np.float64]
 
@@ -91,18 +91,18 @@ def accelerations(speed: Signal) -> tuple[FloatArray, FloatArray]:
 
 
 def leaps(time: FloatArray, speed: FloatArray) -> NDArray[np.bool_]:
-    """Mask of the steps, shape (n - 1,), of a speed, m/s, that are impossible for a car."""
+    """Mask, shape (n - 1,), of the steps of a speed, m/s, that no car can make."""
     steps, change = np.diff(time), np.abs(np.diff(speed))
     return np.asarray((change > LEAST_LEAP + HARDEST * steps) & (steps <= LONGEST_LEAP))
 
 
 def speeds_up_and_down(speed: Signal) -> bool:
-    """True if a car accelerates and brakes often enough for its battery to show it; m/s."""
+    """True if a speed, m/s, changes often enough for the battery to show it."""
     return int((np.abs(accelerations(speed)[1]) > EVENT).sum()) >= LEAST_EVENTS
 
 
 def at_times(signal: Signal, times: FloatArray) -> FloatArray:
-    """The signal interpolated at other times; NaN within a gap of its own."""
+    """The signal interpolated at n times, shape (n,); NaN outside it and within its gaps."""
     time, value = signal.points()
     if time.size < 2:
         return np.full(times.shape, np.nan)
@@ -118,7 +118,7 @@ def at_times(signal: Signal, times: FloatArray) -> FloatArray:
 
 
 def ways(speed: Signal, times: FloatArray) -> FloatArray:
-    """Integral of speed between times, shape one less; NaN across a gap, and where it is 0."""
+    """Distances between n times by the speed, shape (n - 1,); NaN across a gap and for 0."""
     at, value = speed.points()
     span = np.diff(at)
     middle = 0.5 * np.abs(value[1:] + value[:-1])
@@ -129,7 +129,7 @@ def ways(speed: Signal, times: FloatArray) -> FloatArray:
 
 
 def steps_of_places(cells: Mapping[str, Signal], apart: float) -> tuple[FloatArray, FloatArray]:
-    """Times of positions at least `apart` m from each other; distances, m, shape one less."""
+    """Times, shape (n,), of positions over `apart` m from the last; distances, m, (n - 1,)."""
     time, *degrees = cells["latitude"].time, cells["latitude"].value, cells["longitude"].value
     north, east = np.radians(degrees)
     there = np.isfinite(north + east + time) & (north != 0.0)

@@ -23,10 +23,10 @@ class Source(ABC):
     dated: str | None = None  # source of a table's day: `log`, `name` of the file, "" for none
     zoned = True  # True if the clock is UTC or names its zone
     in_order = True  # False if rows of a table were sorted by time
-    stops_s = 0.0  # s of stops between its first and last reading that do not belong to it
+    stops_s = 0.0  # s of stops between first and last reading that are not part of the drive
 
     def __init__(self, path: Path, log: Source | None = None) -> None:
-        """Start with no drops; take columns and clock of `log`, of which this is a part."""
+        """Count no drops yet; a part of `log` has its columns and clock."""
         self.path = path  # of the file or folder
         self.dropped: Counter[str] = Counter()  # by reason; complete at the end
         self._ahead: deque[Block] | None = None
@@ -46,7 +46,7 @@ class Source(ABC):
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """Units and signs that the data leave open, each with the option to change it."""
+        """Assumed units and signs, each with the option that changes it."""
         return tuple(filter(None, (rule.assumption for rule in self.rules)))
 
     @property
@@ -61,10 +61,10 @@ class Source(ABC):
 
     @abstractmethod
     def read(self) -> Iterator[Block]:
-        """Read the drive: `blocks`, possibly with empty ones."""
+        """Read the drive, as `blocks`; blocks may be empty."""
 
     def read_ahead(self) -> Sequence[Block]:
-        """Read the whole drive; the next `blocks` returns these, freeing each after use."""
+        """Read all blocks; the next call of `blocks` yields these and frees each after use."""
         self._ahead = deque(self.blocks())
         return self._ahead
 

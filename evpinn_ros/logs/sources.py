@@ -25,7 +25,7 @@ NOMINAL_VOLTAGE = 350.0  # V, of an unknown car
 
 
 def open_source(path: Path, vehicle: Vehicle, options: ReadOptions = READ_DEFAULTS) -> Source:
-    """Open a recorded drive of any kind; InputError without kind, profile or chosen car."""
+    """Open a recorded drive; InputError: unknown kind, no CAN profile, or no choice of a car."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if is_drive_table(path):
@@ -46,7 +46,10 @@ def open_drive(
     nominal_voltage: float = NOMINAL_VOLTAGE,
     options: ReadOptions = READ_DEFAULTS,
 ) -> TableDrive:
-    """Open a table of a drive; power alone becomes current at `nominal_voltage`, V. InputError."""
+    """Open a table of a drive; InputError if it is none.
+
+    Power becomes current at `nominal_voltage`, V, in a table without voltage.
+    """
     # Imported here: polars takes a quarter of a second to load.
     from evpinn_ros.logs.table_drive import TableDrive
     from evpinn_ros.logs.text_table import ConvertedTable, TextTable
@@ -54,9 +57,9 @@ def open_drive(
     path = Path(path)
     suffix = suffix_of(path)
     if path.suffix.lower() == ".gz" and suffix not in TEXT_SUFFIXES:
-        raise InputError(f"{path}: unpack it first")
+        raise InputError(f"{path}: only {', '.join(TEXT_SUFFIXES)} are read as .gz; unpack it")
     if suffix not in TABLE_SUFFIXES:
-        raise InputError(f"{path}: no table of a drive; known are {', '.join(TABLE_SUFFIXES)}")
-    apart = CONVERTERS.get(suffix)
-    table = TextTable(path) if apart is None else ConvertedTable(path, apart)
+        raise InputError(f"{path}: no table of a drive; supported are {', '.join(TABLE_SUFFIXES)}")
+    converter = CONVERTERS.get(suffix)
+    table = TextTable(path) if converter is None else ConvertedTable(path, converter)
     return TableDrive(table, path, nominal_voltage, options)

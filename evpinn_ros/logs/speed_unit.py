@@ -1,8 +1,8 @@
-"""The unit of a speed and of an odometer whose names have none.
+"""Infers the unit of a speed and of an odometer whose names have none.
 
-Positions and a known odometer show it; with an unknown odometer, km/h and km fit the distance as
-well as mph and miles. The power of accelerating shows the mass, whose order of magnitude is known.
-If several units fit, one is assumed and reported as such.
+Positions and an odometer of known unit show it; with an unknown odometer, km/h with km fits as
+well as mph with miles. The power of accelerating gives the mass, of known order of magnitude. If
+several units fit, one is assumed and reported as such.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FASTEST = {
     "mph": 130.0,
     "km/h": 250.0,
 }  # largest plausible speed of a car in this unit
-STRONGEST = 4.0  # m/s^2: if 1 % of the changes within a second exceed this, the unit is another
+STRONGEST = 4.0  # m/s^2: a unit in which 1 % of the changes within a second exceed it is wrong
 SAME_ROAD = 0.15  # log ratio of equal distances; m/s with miles is 0.33 from mph with km
 LEAST_SEGMENTS, MOST_SEGMENTS = 3, 20  # from one step of the odometer to a later one
 SEGMENT = 300.0  # m between two positions that give a distance
@@ -160,7 +160,10 @@ def _nearest(road: float, factors: Mapping[str, float]) -> str | None:
 
 
 def road_of_odometer(cells: Mapping[str, Signal]) -> float:
-    """Ratio of the odometer's distance to the speed's, or NaN; low quantile, as GPS may fail."""
+    """Distance of the odometer over that of the speed; NaN if unknown.
+
+    A low quantile, as a speed by GPS may be lost.
+    """
     if "odometer" not in cells:
         return np.nan
     time, value = cells["odometer"].points()
@@ -175,7 +178,10 @@ def road_of_odometer(cells: Mapping[str, Signal]) -> float:
 
 
 def road_of_places(cells: Mapping[str, Signal]) -> float:
-    """Distance between positions, m, over the speed's, or NaN; high quantile, as roads bend."""
+    """Distance between positions, m, over that of the speed; NaN if unknown.
+
+    A high quantile, as roads bend.
+    """
     if not cells.keys() >= set(PLACES) or cells["speed"].points()[0].size < LEAST_EVENTS:
         return np.nan
     times, far = steps_of_places(cells, SEGMENT)

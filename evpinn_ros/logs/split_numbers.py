@@ -23,7 +23,7 @@ LEAST_ROWS = 3
 MOST_GROUPS, MOST_WAYS = 6, 8  # in a row, and ways to join it, that are examined
 
 _WHOLE = re.compile(r"[+-]?(0|[1-9]\d*)")
-# 05 can be decimals but is no number, and 3.2 has no decimal comma.
+# 05 can only be decimals, and 3.2 has no decimal comma.
 _NO_NUMBER = re.compile(r"[+-]?(0\d+|\d+\.\d*)")
 _POINT = re.compile(r"[+-]?\d+\.\d+")
 _CLOCK = re.compile(r".*\d:\d\d")  # a time, whose seconds may have decimals
@@ -104,10 +104,8 @@ def joined_table(table: Table, head: Head) -> Table:
             rows.setdefault(size, []).append(row)
     least = max(LEAST_ROWS, LEAST_SHARE * counts.total())
     wide = {size: same_width for size, same_width in sorted(rows.items()) if size > width}
-    if any(
-        layout_of(same_width[0][1]) for same_width in wide.values()
-    ):  # the header has cells without a name
-        return table
+    if any(layout_of(same_width[0][1]) for same_width in wide.values()):
+        return table  # an app whose rows are wider than its header
     thousands: set[int] = set()
     for same_width in wide.values():
         ways = (_ways(row, width) for _, row in same_width)
@@ -119,10 +117,10 @@ def joined_table(table: Table, head: Head) -> Table:
     commonest = max(counts, key=lambda size: counts[size])
     layouts = _decimal_layouts([row for _, row in wide.get(commonest, [])], width)
     decimals = frozenset(layouts[0] if len(layouts) == 1 else ())
-    whole = JoinedTable(table, head, decimals, frozenset(thousands) if has_points else None)
+    joined = JoinedTable(table, head, decimals, frozenset(thousands) if has_points else None)
     apart: set[int] = set()
     for size, same_width in wide.items():
-        bad = [row for row in same_width if whole.joined(row[1]) is None]
+        bad = [row for row in same_width if joined.joined(row[1]) is None]
         if len(bad) <= LEAST_SHARE * len(same_width):
             continue
         apart.add(size)
@@ -135,8 +133,8 @@ def joined_table(table: Table, head: Head) -> Table:
                 "if commas split its numbers, save the table with semicolons, or with points in "
                 "its numbers"
             )
-    whole.apart = frozenset(apart)
-    return whole
+    joined.apart = frozenset(apart)
+    return joined
 
 
 def _decimal_layouts(rows: Sequence[list[str]], width: int) -> list[tuple[int, ...]]:
@@ -189,7 +187,7 @@ def _ways(row: list[str], width: int) -> list[_Way]:
     """Up to `MOST_WAYS` ways to join thousands so that a row has `width` cells."""
     ways: list[_Way] = []
 
-    def go_on(at: int, cells: list[str], columns: frozenset[int]) -> None:
+    def extend(at: int, cells: list[str], columns: frozenset[int]) -> None:
         left = width - len(cells)
         if len(ways) == MOST_WAYS or left > len(row) - at:
             return
@@ -197,19 +195,19 @@ def _ways(row: list[str], width: int) -> list[_Way]:
             if at == len(row):
                 ways.append(_Way(cells, columns))
             return
-        go_on(at + 1, [*cells, row[at]], columns)
+        extend(at + 1, [*cells, row[at]], columns)
         if not _LEAD.fullmatch(row[at].strip()):
             return
         for end in range(at + 1, len(row)):
             if not _LAST_GROUP.fullmatch(row[end].strip()):
                 return
             number = "".join(cell.strip() for cell in row[at : end + 1])
-            go_on(end + 1, [*cells, number], columns | {len(cells)})
+            extend(end + 1, [*cells, number], columns | {len(cells)})
             if not _GROUP.fullmatch(row[end].strip()):
                 return
 
     if len(row) - width <= MOST_GROUPS:
-        go_on(0, [], frozenset())
+        extend(0, [], frozenset())
     return ways
 
 

@@ -39,7 +39,7 @@ OTHER_SHEETS = "# sheets that are not read: "
 HEADER_WITHIN = 60  # first rows that may hold the header
 LEAST_SHARE = 0.02  # of rows wider than the header, which an updated app wrote
 NARROW_SHARE = 0.05  # of narrower rows, which omit empty cells at the end
-ROWS_THAT_TELL = 2000  # rows that show whether a table is readable
+ROWS_THAT_TELL = 2000  # rows after which an unreadable table is refused
 MOST_CELLS = 500_000  # cells kept
 MOST_ROWS = 300_000  # rows examined: eight hours at 10 Hz
 
@@ -78,7 +78,10 @@ class Head:
 
 
 def find_head(table: Table) -> Head:
-    """The first row with our names, units from below joined in, or of a known app; InputError."""
+    """The header: the first row that names quantities, or the layout of a known app.
+
+    Units in the row below are added to the names. InputError: no rows, or only one column.
+    """
     rows = list(islice(table.rows(), HEADER_WITHIN))
     if not rows:
         raise InputError("the file is empty")
@@ -92,8 +95,8 @@ def find_head(table: Table) -> Head:
     names = [name.strip().strip("\ufeff") for name in row]
     if len(names) == 1 and len(names[0].split()) > 2:
         raise InputError(
-            f"one column, {names[0][:60]!r}: cells are separated by commas, semicolons, tabs or "
-            "bars, and not by blanks"
+            f"only one column, {names[0][:60]!r}: separate the cells by commas, semicolons, tabs "
+            "or bars, not by blanks"
         )
     comments = [",".join(cells) for _, cells in rows[:place]]
     written = names
@@ -102,18 +105,18 @@ def find_head(table: Table) -> Head:
         names = [
             f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)
         ]
-    return Head(_told_apart(names), number, comments, written)
+    return Head(_distinct(names), number, comments, written)
 
 
-def _told_apart(names: Sequence[str]) -> list[str]:
+def _distinct(names: Sequence[str]) -> list[str]:
     """Names of columns; duplicates are numbered so that `--column` can select each."""
     seen: Counter[str] = Counter()
-    told = []
+    distinct = []
     for name in names:
         seen[name] += 1
         twin = seen[name] > 1 and name and name not in BY_COLUMN
-        told.append(f"{name} #{seen[name]}" if twin else name)
-    return told
+        distinct.append(f"{name} #{seen[name]}" if twin else name)
+    return distinct
 
 
 def long_form(head: Head) -> tuple[int, int, int | None] | None:
@@ -207,7 +210,7 @@ def look_through(
     early: Callable[[Survey], object],
     limit: int = MOST_ROWS,
 ) -> Survey:
-    """Cells of the wanted columns in every k-th row; `early` may raise, to stop a bomb."""
+    """Survey of every k-th row; `early` gets that of `ROWS_THAT_TELL`, to raise before a bomb."""
     widths: Counter[int] = Counter()
     kept = [pl.Series(dtype=pl.String) for _ in wanted]
     most = max(1000, MOST_CELLS // max(1, len(wanted)))
@@ -238,7 +241,7 @@ Broken = TypeVar("Broken", Row, Batch)
 
 
 def until_broken(parts: Iterator[Broken]) -> Iterator[Broken]:
-    """The rows, or batches, up to where the file breaks off; reading reports that later."""
+    """The rows, or batches, up to damage, which only the later reading reports."""
     try:
         yield from parts
     except AnotherHeaderError:

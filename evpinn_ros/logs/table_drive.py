@@ -40,7 +40,7 @@ from evpinn_ros.logs.column import (
     unused_columns,
 )
 from evpinn_ros.logs.contradictions import contradictions, doubts
-from evpinn_ros.logs.frozen_values import Standing, measured_alone
+from evpinn_ros.logs.frozen_values import FrozenValues, measured_alone
 from evpinn_ros.logs.numbers import filled, is_missing, to_floats
 from evpinn_ros.logs.quantities import (
     ANGLES,
@@ -86,7 +86,7 @@ if TYPE_CHECKING:
 
 AT_ONCE = 16_384  # rows per block of a table that is not in time order
 DIGITS = re.compile(r"\d+")
-LEVEL = "elevation: all heights are alike, so the ground is assumed to be level"
+LEVEL = "elevation: all heights are equal, so the road is assumed to be level"
 FEW_ROWS = 20_000  # rows examined if all names are ours, so that nothing is guessed
 
 Stamps = NDArray[np.int64]
@@ -112,9 +112,8 @@ class TableDrive(Source):
         self._nominal_voltage = nominal_voltage
         self._at_nominal_voltage = 0
         self._not_traction = ""  # why the voltage is unused
-        self._standing = Standing(self.dropped)
-        # rows below the header that were read, and `used`, those that gave a reading; complete
-        # once the readings are exhausted
+        self._frozen = FrozenValues(self.dropped)
+        # `rows` read below the header; those `used` gave a reading. Complete once exhausted.
         self.rows = self.used = 0
         self.first_bad: str | None = None  # first unreadable cell, and the remedy
         try:
@@ -155,8 +154,8 @@ class TableDrive(Source):
         if self.clock.spread is not None and not self.clock.spread.rows:
             name = header[self.clock.columns[0]]
             raise InputError(
-                f"column {name!r}: rows have the same few times, which do not tell how far apart "
-                "they are; say --column time=NAME if there is a finer one"
+                f"column {name!r}: the rows share too few different times to tell their interval; "
+                "say --column time=NAME for a finer column"
             )
         self.zoned = self.clock.zoned
         self.in_order = self.clock.order is not Order.SHUFFLED
@@ -167,7 +166,7 @@ class TableDrive(Source):
             survey.put_in_order(rows)
         self._contradictions: tuple[str, ...] = ()
         self._doubts: tuple[str, ...] = ()
-        self.rules = self._ruled(columns, all_ours, stamps)
+        self.rules = self._used_columns(columns, all_ours, stamps)
         taken = {*self.clock.columns, *self._units.values()}
         self.ignored = unused_columns(header, self.rules, taken, survey.empty)
         if self._long is not None:
@@ -211,9 +210,9 @@ class TableDrive(Source):
         comments = self._head.comments
         notes += [text.lstrip("# ") for text in comments if text.startswith(OTHER_SHEETS)]
         if not self.in_order:
-            notes.append("rows stand in no order of time, so they were sorted by it")
+            notes.append("rows are not in order of time, so they were sorted")
         notes += [
-            f"{rule.quantity}: numbers above {rule.wraps / 2:g} are negative ones of {rule.name!r}"
+            f"{rule.quantity}: {rule.name!r} wraps: numbers above {rule.wraps / 2:g} are negative"
             for rule in self.rules
             if rule.wraps
         ]
@@ -221,7 +220,7 @@ class TableDrive(Source):
             if rule.back is not None:
                 back = self._head.names[rule.back]
                 notes.append(
-                    f"{rule.quantity}: {back!r} is assumed to flow back, and counts against it"
+                    f"{rule.quantity}: {back!r} is assumed to flow back, and is subtracted"
                 )
             alike = [name for name in self.ignored if _is_numbered_like(name, rule.name)]
             if rule.quantity in SIGNED and alike:
@@ -230,18 +229,18 @@ class TableDrive(Source):
                     f"not counted: {', '.join(alike)}"
                 )
         if self._backwards:
-            notes.append("speed: all numbers are negative; their size counts")
+            notes.append("speed: all numbers are negative, so their sign is turned")
         if self._engine is not None:
-            notes.append("rows in which the engine turns are not used")
+            notes.append("rows in which the combustion engine runs are not used")
         if self._in_bursts and self._long is None:
-            notes.append("rows that were written at once are one reading, as told last")
+            notes.append("rows written in one burst are one reading, of their last values")
         if self._held:
             names = " and ".join(sorted(self._held))
             notes.append(f"{names}: cells that repeat the last value are not used")
         notes += self._notes_on_time()
         if self._not_traction:
             notes.append(f"voltage is {self._not_traction}, so it is not used")
-        notes += self._standing.notes
+        notes += self._frozen.notes
         if self._at_nominal_voltage:
             notes.append(
                 f"{self._at_nominal_voltage} battery readings have power only; their voltage is "
@@ -254,11 +253,11 @@ class TableDrive(Source):
         name = self._head.names[clock.columns[0]]
         if clock.why == ASSUMED_UNIT:
             yield (
-                f"time: {name!r} is assumed to be in {clock.unit}, because no car changes its "
-                f"speed as its name says; --column 'time={name}:UNIT' gives another unit"
+                f"time: {name!r} is assumed to be in {clock.unit}: in the unit of its name, speed "
+                f"would change as no car's does; --column 'time={name}:UNIT' sets another unit"
             )
         if clock.half_days:
-            yield f"time: {name!r} is assumed to be of 12 hours without AM and PM"
+            yield f"time: {name!r} is assumed to be a 12-hour clock without AM and PM"
         if clock.formats == "%H:%M" and not clock.as_written and spread is None:
             yield (
                 f"time: {name!r} is assumed to be hours and minutes; if it is minutes and "
@@ -266,7 +265,7 @@ class TableDrive(Source):
             )
         if spread is not None:
             every = spread.resolution_ns / NANOSECONDS
-            yield f"time: stamps are {every:g} s apart; rows are spread evenly within them"
+            yield f"time: stamps have a resolution of {every:g} s; rows are spread evenly over it"
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -286,11 +285,11 @@ class TableDrive(Source):
             self.problem = str(error)
         if not begun:
             reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(self.dropped.items()))
-            nothing = f"{self.path}: no reading in it; dropped: {reasons or 'nothing'}"
+            nothing = f"{self.path}: no usable reading; dropped: {reasons or 'nothing'}"
             raise InputError(self.first_bad or nothing)
 
     def _named_columns(self, options: ReadOptions, empty: Collection[int] = ()) -> list[Column]:
-        """The columns of `columns_by_name`; a drive's slopes only if requested."""
+        """The columns of `columns_by_name`; slopes of a drive with battery only if chosen."""
         columns = columns_by_name(self._head.names, options.columns, empty)
         return [
             column
@@ -299,7 +298,7 @@ class TableDrive(Source):
         ]
 
     def _is_level(self, column: Column) -> bool:
-        """True for constant heights, except those of a receiver that may have no fix."""
+        """True for constant heights, unless a receiver without a fix may have written them."""
         if column.quantity != "elevation" or not (column.is_ours or column.why == "as given"):
             return False
         heights = to_floats(self._survey.cells[column.place], self._survey.styles[column.place])
@@ -360,7 +359,7 @@ class TableDrive(Source):
         self.first_bad = None
         order = RowOrder()
         maker = RowBlocks(self._nominal_voltage, self.dropped)
-        held, self._standing = HeldSignals(self._held), Standing(self.dropped)
+        held, self._frozen = HeldSignals(self._held), FrozenValues(self.dropped)
         for stamps, values in self._timed():
             there = stamps != NONE
             stamps = np.where(there, stamps, 0) + self._start_ns
@@ -373,7 +372,7 @@ class TableDrive(Source):
             if self._in_bursts:
                 rows = join(stamps, values, rows)
             held.drop_repeats(stamps, values, rows)
-            self._standing.drop(stamps, values, rows)
+            self._frozen.drop(stamps, values, rows)
             yield maker.block(stamps, values, rows)
         self.used, self._at_nominal_voltage = maker.used, maker.at_nominal_voltage
         self.rows += self._table.torn
@@ -383,22 +382,22 @@ class TableDrive(Source):
             del self.dropped[reason]
 
     def _timed(self) -> Iterator[Timed]:
-        """Continuous times and numbers of whole rows; the error of a broken file comes last."""
+        """Continuous times, ns, and SI values of whole rows; raises a file's damage last."""
         broken: list[InputError] = []
         running = self.clock.running()
         places = self.clock.columns
-        timed = (
-            (b, np.array(self.clock.stamps({place: b.cells(place) for place in places})))
-            for b in regrouped(self._until_broken(broken))
+        stamped = (
+            (batch, np.array(self.clock.stamps({place: batch.cells(place) for place in places})))
+            for batch in regrouped(self._until_broken(broken))
         )
-        parts = ((stamps, self._values(batch, stamps)) for batch, stamps in timed)
+        parts = ((stamps, self._values(batch, stamps)) for batch, stamps in stamped)
         for stamps, values in _oldest_first(parts, self.clock.order):
             yield running.add(stamps), values
         if broken:
             raise broken[0]
 
     def _values(self, batch: Batch, stamps: Stamps) -> Numbers:
-        """SI values of the quantities in use; cells without a time are counted."""
+        """SI values of the quantities in use; `stamps` while the engine runs become `NONE`."""
         self._count_times(batch, stamps)
         if self._engine is not None:
             style = self._survey.styles[self._engine]
@@ -419,7 +418,7 @@ class TableDrive(Source):
         return values
 
     def _until_broken(self, broken: list[InputError]) -> Iterator[Batch]:
-        """Whole rows; the error that ends the file is added to `broken`."""
+        """Rows that are not torn; an error that ends the file is added to `broken`."""
         try:
             for batch in data_batches(self._table, self._head):
                 widths = batch.widths
@@ -436,7 +435,7 @@ class TableDrive(Source):
 
     def _numbers(self, batch: Batch, rule: Column) -> NDArray[np.float64]:
         values = to_floats(batch.cells(rule.place), self._survey.styles[rule.place])
-        self._count_bad(batch, rule, ~np.isfinite(values), "is no number")
+        self._count_bad(batch, rule, ~np.isfinite(values), "is not a number")
         if rule.back is not None:
             values = net(values, to_floats(batch.cells(rule.back), self._survey.styles[rule.back]))
         values = np.where(np.abs(values) < MOST, values, math.nan)  # no factor makes it infinite
@@ -451,7 +450,7 @@ class TableDrive(Source):
         bad = stamps == NONE
         self.dropped["no_time"] += int(bad.sum())
         time = Column("time", self._head.names[place], place=place)
-        self._count_bad(batch, time, bad, "is no time like the others")
+        self._count_bad(batch, time, bad, "has not the format of the other times")
 
     def _count_bad(self, batch: Batch, rule: Column, bad: NDArray[np.bool_], what: str) -> None:
         """Count the bad cells of a column that are not just missing, and quote the first."""
@@ -466,12 +465,13 @@ class TableDrive(Source):
             if self.first_bad is None:
                 self.first_bad = (
                     f"{self.path}:{line}: column {rule.name!r}: {cell[:40]!r} {what}; "
-                    f"--column {rule.quantity}=NAME takes another column"
+                    f"--column {rule.quantity}=NAME chooses another column"
                 )
 
-    def _ruled(
+    def _used_columns(
         self, columns: Sequence[Column], all_ours: bool, stamps: Stamps
     ) -> tuple[Column, ...]:
+        """The columns in use, in file order, with units and signs; notes what is implausible."""
         clock, header = self.clock, self._head.names
         time = Column("time", header[clock.columns[0]], place=clock.columns[0])
         if not time.is_ours:
@@ -485,7 +485,7 @@ class TableDrive(Source):
         times = _seconds(clock.running().add(stamps))
         beside = {"power": self._beside} if self._beside else {}
         used = {
-            name: self._with_unit_beside(self._with_what_flows_back(column))
+            name: self._with_unit_beside(self._with_returned(column))
             for name, column in used.items()
         }
         signals = self._signals({**used, **beside}, times)
@@ -531,8 +531,8 @@ class TableDrive(Source):
         """Numbers of a column in the examined rows."""
         return to_floats(self._survey.cells[place], self._survey.styles[place])
 
-    def _with_what_flows_back(self, column: Column) -> Column:
-        """The column; without that of returned energy if either column has both signs."""
+    def _with_returned(self, column: Column) -> Column:
+        """The column, without its column of returned energy if the two are no such pair."""
         if column.back is None:
             return column
         is_pair = flows_one_way(self._surveyed(column.place), self._surveyed(column.back))
@@ -548,7 +548,8 @@ class TableDrive(Source):
         units = {known_unit(column.quantity, text) for text in told}
         if len(units) > 1 and None not in units:
             raise InputError(
-                f"column {name!r}: rows are in {' and '.join(told)}: split the file there"
+                f"column {name!r}: the unit changes between {' and '.join(told)}: split the file "
+                "where it does"
             )
         unit = units.pop() if units else None
         return column.measured_in(told[0], unit, f"by {name!r}") if unit else column
@@ -598,7 +599,7 @@ def _heights(
 
 
 def _oldest_first(parts: Iterator[Timed], order: Order) -> Iterator[Timed]:
-    """Parts in time order; unless the order is known, all numbers are kept, but no text."""
+    """Parts in time order; all but `OLDEST_FIRST` keep the numbers of the whole table."""
     if order is Order.OLDEST_FIRST:
         yield from parts
         return
@@ -627,8 +628,8 @@ def _no_time(columns: Sequence[Column], survey: Survey) -> str:
     column = next(column for column in columns if column.quantity == "time")
     cell = next(iter(filled(survey.cells[column.place])), "")
     if not survey.widths.total():
-        return "no row below the header"
+        return "no rows below the header"
     return (
-        f"column {column.name!r}: {cell[:40]!r} is no time that is known; "
+        f"column {column.name!r}: {cell[:40]!r} is in no known format of time; "
         "say --column time=NAME, time=NAME:s or time=NAME:%d.%m.%Y %H:%M:%S%.f"
     )

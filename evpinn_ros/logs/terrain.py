@@ -53,7 +53,7 @@ class Terrain:
         tiffs = [path for path in paths if path.suffix.lower() in _GEOTIFF]
         if not self._paths and not tiffs:
             raise InputError(
-                f"{folder}: no tile of elevation, as N48E011.hgt, N48E011.hgt.gz or a GeoTIFF"
+                f"{folder}: no tile of elevation, such as N48E011.hgt, N48E011.hgt.gz or a GeoTIFF"
             )
         if tiffs:
             with optional_imports():
@@ -151,7 +151,8 @@ def write_grid(path: Path, out: Path) -> None:
         floats = {"dtype": "float32", "nodata": math.nan, "resampling": Resampling.bilinear}
         with WarpedVRT(file, crs="EPSG:4326", **floats) as grid:
             if grid.width * grid.height > MOST_HEIGHTS or min(grid.shape) < 2:
-                raise InputError(f"{grid.width} x {grid.height} heights")
+                size = f"{grid.width} x {grid.height} heights"
+                raise InputError(f"{size}; 2 x 2 to {MOST_HEIGHTS} in all are read")
             heights = grid.read(1)
             corner = grid.transform  # of the first cell; its height is that of its centre
     place = corner.f + corner.e / 2, corner.c + corner.a / 2, -corner.e, corner.a

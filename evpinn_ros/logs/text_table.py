@@ -32,7 +32,7 @@ MOST_BLANK = 100_000  # consecutive lines
 SEPARATORS = ",;\t|"
 LOOKED_AT = 20  # lines examined for the separator
 LOOKED_AT_BYTES = 4096
-MOSTLY_PAIRS = 0.8  # share of the non-ASCII bytes
+MOSTLY_PAIRS = 0.8  # share of the non-ASCII bytes that are pairs in Chinese text
 END = 1 << 16  # bytes that contain the last line
 BLANK = "\r\n\t ,;"  # characters of a row without content
 
@@ -190,7 +190,7 @@ class TextTable:
             quote = '"' in line
             if not line.strip(BLANK):
                 self._useless += 1
-            # No app writes a cell of two lines; an unpaired quote would swallow later lines.
+            # No app writes a cell of two lines; an unpaired quote would include later lines.
             elif quote and line.count('"') % 2:
                 self._useless, self.torn = self._useless + 1, self.torn + 1
             elif self._line > 1 or not _says_separator(line):
@@ -227,7 +227,7 @@ class TextTable:
                 return
             if len(left) > LONGEST_LINE:
                 if not left.strip("\0"):
-                    raise OSError("zeros without an end")  # text before them is read
+                    raise OSError("endless zero bytes")  # the text before them is read
                 raise ValueError(f"a line is longer than {LONGEST_LINE} characters")
             size = CHUNK
 

@@ -214,7 +214,7 @@ class TripSource(Source):
 def split(
     log: Source, *, whole: bool = False, ahead: bool = True
 ) -> tuple[Sequence[Source], float]:
-    """The trips of a log (one if `whole`), and J charged between; InputError if only charged.
+    """The trips of a log (one if `whole`), and J charged between; InputError: only charging.
 
     With `ahead`, the log keeps the blocks read so far for its next `blocks`.
     """

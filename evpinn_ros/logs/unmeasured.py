@@ -1,4 +1,4 @@
-"""Stretches without measurements while the car moves, though each row has values.
+"""Finds stretches without measurements while the car moves, though each row has values.
 
 If an adapter is lost, speed and battery freeze together. If an exporter fills the gap, both lie on
 straight lines from the last row before it to the first one after it.
@@ -17,11 +17,11 @@ from evpinn_ros.logs.signal import LEAST_EVENTS, LONGEST_STEP, FloatArray, Signa
 
 LEAST_LOST = 15.0  # s: an even road under cruise control looks the same for shorter times
 LEAST_REPEATS = 10  # readings
-ALONE = 2.0  # times that: speed or battery is frozen without the other
+ALONE = 2.0  # times a stretch: if speed or battery alone is constant for longer, it is steady
 ALIVE = ("odometer", "elevation", "charge", *PLACES)  # change while the car is measured
 MOST_LOST, USUALLY = 2, 0.5  # stretches, and share of moving readings: above, all repeats
-WINDOW, HOP = 10.0, 5.0  # s: `LEAST_LOST` holds a window that begins at some hop
-# Resolutions that speed and battery change by: with 9, real values made a line for 13 s.
+WINDOW, HOP = 10.0, 5.0  # s: a stretch of `LEAST_LOST` contains a whole window
+# Least change of a straight signal, in resolutions: real ones made a line of 9 for 13 s.
 LEAST_STEPS = 20
 ROUNDED = 1.0  # resolutions off a fitted line: half by rounding, half by the fit
 FINEST = 1e-6  # of a value in SI units
@@ -46,7 +46,10 @@ class Stand(NamedTuple):
 
 
 def standing_together(signals: Mapping[str, Signal]) -> list[Stand]:
-    """Stretches in which speed and battery freeze while the car moves, if that is unusual."""
+    """Stretches in which speed and battery are both constant while the car moves.
+
+    Empty if that is usual for the drive.
+    """
     points = _speed_and_battery(signals)
     if not points:
         return []
@@ -56,14 +59,14 @@ def standing_together(signals: Mapping[str, Signal]) -> list[Stand]:
     gaps = np.flatnonzero(np.diff(time, append=np.inf) > LONGEST_STEP)
     ends = (time[:1], np.nextafter(time[gaps], np.inf), time[gaps[:-1] + 1])
     edges = np.unique(np.concatenate((*ends, *changes)))
-    of_each = [
-        np.unique(np.concatenate((edges[[0, -1]], *ends, *of)))
-        for of in (changes[:1], changes[1 : len(points)])
-    ]
+    speed_changes, battery_changes = (
+        np.unique(np.concatenate((edges[[0, -1]], *ends, *times)))
+        for times in (changes[:1], changes[1 : len(points)])
+    )
     stands: dict[tuple[float, ...], list[Stand]] = {}
     for at in np.flatnonzero(np.diff(edges) >= LEAST_LOST).tolist():
         begin, end = edges[at], edges[at + 1]
-        firsts, lasts = zip(*(of.searchsorted((begin, end)) for of, _ in points), strict=True)
+        firsts, lasts = zip(*(at.searchsorted((begin, end)) for at, _ in points), strict=True)
         inside = time[firsts[0] : lasts[0]]
         if min(np.subtract(lasts, firsts)) >= LEAST_REPEATS and speed[firsts[0]] != 0.0:
             key = tuple(
@@ -76,13 +79,14 @@ def standing_together(signals: Mapping[str, Signal]) -> list[Stand]:
     lost = [
         stand
         for stand in once
-        if max(_run(of, stand.begin) for of in of_each) <= ALONE * stand.seconds
+        if max(_run(speed_changes, stand.begin), _run(battery_changes, stand.begin))
+        <= ALONE * stand.seconds
     ]
     return lost if _are_unusual(lost, chain(*stands.values()), speed) else []
 
 
 def straight_together(signals: Mapping[str, Signal]) -> list[Stand]:
-    """Stretches in which speed and battery follow straight lines, if that is unusual.
+    """Stretches in which speed and battery follow straight lines; empty if that is usual.
 
     A stretch ends before the first row that is measured again.
     """
@@ -90,7 +94,7 @@ def straight_together(signals: Mapping[str, Signal]) -> list[Stand]:
     if not points:
         return []
     time, speed = points[0]
-    lines = [Line.of(*of) for of in points]
+    lines = [Line.of(time, value) for time, value in points]
     filled, straight = [], []
     for begin, end in _straight_spans(lines):
         first, last = (int(row) for row in time.searchsorted((begin, end)) - (0, 2))
@@ -105,7 +109,7 @@ def straight_together(signals: Mapping[str, Signal]) -> list[Stand]:
 
 
 def measured_on(signals: Mapping[str, Signal], stand: Stand) -> set[str]:
-    """Names of signals of a receiver or the car's counters that continue in a stretch."""
+    """Names of the `ALIVE` signals that a stretch does not replace by a straight line."""
     begin, end = stand.begin, stand.begin + stand.seconds
     alive = {name: signals[name].points() for name in ALIVE if name in signals}
     return {
@@ -146,7 +150,7 @@ class Line(NamedTuple):
 
 
 def _straight_spans(lines: Sequence[Line]) -> Iterator[tuple[float, float]]:
-    """Longest spans, s, [begin, end), in which all signals follow their lines."""
+    """Longest spans [begin, end), s, in which every signal follows a straight line."""
     time = lines[0].time
     step = max(SHORTEST_STEP, *(float(np.median(np.diff(line.time))) for line in lines))
     window = max(WINDOW, (LEAST_REPEATS + 1) * step)  # one cell may be missing
@@ -186,7 +190,7 @@ def _speed_and_battery(signals: Mapping[str, Signal]) -> list[Points]:
 
 
 def _are_unusual(stands: Sequence[Stand], alike: Iterable[Stand], speed: FloatArray) -> bool:
-    """True unless most of a drive, or all of it, is `alike`."""
+    """True unless stands like these are most of a drive; `alike` contains all of them."""
     moving = np.count_nonzero(speed)
     still = sum(stand.last + 1 - stand.first for stand in alike)
     usual = len(stands) > MOST_LOST and still > USUALLY * moving
@@ -194,6 +198,6 @@ def _are_unusual(stands: Sequence[Stand], alike: Iterable[Stand], speed: FloatAr
 
 
 def _run(changes: FloatArray, begin: float) -> float:
-    """Length of the unchanged stretch that contains a moment, s."""
+    """Length, s, of the stretch without a change that contains a moment."""
     after = int(changes.searchsorted(begin, side="right"))
     return float(changes[after] - changes[after - 1])

@@ -1,7 +1,7 @@
 """Units, signs and repeated cells, inferred from the values of columns.
 
-A logger that fills cells with the last known value (the Vehicle Energy Dataset) makes a staircase
-of speed; if rows are uneven, a fine signal that repeats to the last digit was not measured again.
+A logger that fills cells with the last known value makes a staircase of speed, as in the Vehicle
+Energy Dataset. If rows are uneven, a fine signal that repeats a value was not measured again.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ WEAKEST = 1000.0  # W: a car that never takes more does not drive
 HIGHEST, HEAVIEST = 2000.0, 5000.0  # V, A: above any vehicle's battery
 HOTTEST = 38.0  # degrees C: no drive has a higher median, so it is F
 BACKWARDS = 0.99  # share of the nonzero speeds
-SELDOM, OVERLAP = 0.02, 0.1  # share of the values, and of the larger of two
-KELVIN = 200.0  # K from here on
+SELDOM, OVERLAP = 0.02, 0.1  # values of the other sign; smaller over larger of two flows
+KELVIN = 200.0  # larger medians are in K
 STEEPEST, STEEPEST_MEAN = 0.4, 0.12  # fractions, of roads and trips: larger values are percent
 ALIKE = 0.5  # correlation from which on two powers are the same, up to sign and size
 RESOLUTIONS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.02, 0.01, 0.001)  # of signals on a bus
@@ -89,23 +89,23 @@ def is_backwards(speed: Signal) -> bool:
 
 
 def flows_one_way(drawn: FloatArray, back: FloatArray) -> bool:
-    """True if two columns are drawn and returned energy, hardly ever both at once."""
+    """True if two columns are drawn and returned flow: of one sign, and seldom both at once."""
     for values in (drawn, back):
         if min(np.sum(values < 0.0), np.sum(values > 0.0)) > SELDOM * np.isfinite(values).sum():
             return False
     sizes = np.abs(np.nan_to_num([last_known(drawn), last_known(back)]))
-    is_told = min(np.isfinite(drawn).sum(), np.isfinite(back).sum()) >= LEAST_EVENTS
-    return bool(is_told and sizes.min(axis=0).sum() <= OVERLAP * sizes.max(axis=0).sum())
+    enough = min(np.isfinite(drawn).sum(), np.isfinite(back).sum()) >= LEAST_EVENTS
+    return bool(enough and sizes.min(axis=0).sum() <= OVERLAP * sizes.max(axis=0).sum())
 
 
 def net(drawn: FloatArray, back: FloatArray) -> FloatArray:
-    """Drawn less returned energy where either is known; the other keeps its last value."""
+    """Drawn minus returned flow, shape (n,), where either is known; the other keeps its last."""
     flow = np.abs(np.nan_to_num(last_known(drawn))) - np.abs(np.nan_to_num(last_known(back)))
     return np.where(np.isfinite(drawn) | np.isfinite(back), flow, np.nan)
 
 
 def is_engine(turning: Signal, speed: Signal) -> bool:
-    """True for the engine of a hybrid, which sometimes stops while the car drives."""
+    """True if a motor's speed is that of a combustion engine: it does not follow the car's."""
     turns = at_times(turning, speed.time)
     return bool((turns > 0).any()) and correlation(speed.value, turns) < GEARED
 
@@ -114,8 +114,8 @@ def of_12_volts(columns: Mapping[str, Column], cells: Mapping[str, Signal]) -> s
     """Why a voltage is not that of the traction battery; empty if it may be."""
     if not {"voltage", "current"} <= columns.keys() or columns["voltage"].why == "as given":
         return ""
-    volts_of_all = cells["voltage"].known * columns["voltage"].factor
-    middle = float(np.median(volts_of_all)) if volts_of_all.size >= LEAST_EVENTS else np.nan
+    volts = cells["voltage"].known * columns["voltage"].factor
+    middle = float(np.median(volts)) if volts.size >= LEAST_EVENTS else np.nan
     amperes = cells["current"].known
     if not 0 < middle < NOT_TRACTION or not amperes.size or not np.ptp(amperes):
         return ""
@@ -153,7 +153,7 @@ def _with_sign(
 def _sign_of_driving(
     drawn: Signal, speed: Column, cells: Mapping[str, Signal]
 ) -> tuple[bool, str, bool]:
-    """Sign at discharge, its evidence, and whether that is certain."""
+    """True if positive at discharge, the evidence for people, and True if that is certain."""
     times, change = accelerations(cells["speed"])
     at, change = at_times(drawn, times), change * speed.factor
     taken = at[(change > EVENT) & np.isfinite(at)]
@@ -243,7 +243,7 @@ def _charge_unit(column: Column, values: FloatArray) -> Column:
     highest = float(values.max(initial=0.0))
     if 0 < highest <= 1.0:
         return column.in_unit("fraction", "by its values")
-    if np.median(values) > 100.0 if values.size else False:
+    if values.size and np.median(values) > 100.0:
         # LeafSpy counts 1/10000 of a percent.
         factor = 10.0 ** -np.ceil(np.log10(highest / 101.0))
         return column.measured_in(f"{factor:g} %", Unit(float(factor)), "by its values")

@@ -61,9 +61,9 @@ class NamedVector:
 
 def header(new: NewMessage, stamp_ns: int, frame_id: str = "") -> Any:
     """std_msgs/Header; ValueError for a stamp outside 1970 to 2038, which ROS time holds."""
-    made = new("std_msgs/msg/Header", frame_id=frame_id)
-    _set_stamp(made, stamp_ns)
-    return made
+    message = new("std_msgs/msg/Header", frame_id=frame_id)
+    _set_stamp(message, stamp_ns)
+    return message
 
 
 def _set_stamp(header: Any, stamp_ns: int) -> None:

@@ -515,7 +515,7 @@ def test_zeros_behind_a_drive_are_not_read_to_their_end(tmp_path):
     """A loss of power leaves some; a sparse file of 8 GB was read for 90 s."""
     path = tmp_path / "drive.csv"
     rows = [f"{second},{10 + second % 7},380,{20 + second % 5}\n" for second in range(5000)]
-    for zeros, problem in ((5000, None), (8 << 30, "zeros without an end")):
+    for zeros, problem in ((5000, None), (8 << 30, "endless zero bytes")):
         with path.open("w") as file:
             file.write("time,speed [m/s],voltage [V],current [A]\n" + "".join(rows))
             file.truncate(file.tell() + zeros)

@@ -12,7 +12,7 @@ from exports import Drive, measured, opened, simulated
 
 DRIVE = simulated(count=300, step=0.6, mass=250.0, volts=84.0, seed=3)
 NAMES = "time (s)", "speed (km/h)", "voltage (V)", "current (A)"
-NOTE = "rows that were written at once are one reading, as told last"
+NOTE = "rows written in one burst are one reading, of their last values"
 
 
 def signals(drive: Drive = DRIVE) -> np.ndarray:

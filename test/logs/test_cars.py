@@ -43,7 +43,7 @@ def test_of_several_cars_one_is_asked_for(tmp_path):
         drive_of(tmp_path, HEADER, table)
     with pytest.raises(InputError, match="no row of the car '54'; did you mean 541"):
         drive_of(tmp_path, HEADER, table, car="54")
-    with pytest.raises(InputError, match="no column tells cars apart"):
+    with pytest.raises(InputError, match="no column names cars"):
         drive_of(tmp_path, HEADER.replace("VehId", "Row"), table, car="541")
 
 

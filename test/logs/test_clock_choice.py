@@ -40,7 +40,7 @@ def test_a_clock_of_12_hours_without_am_and_pm_runs_on(tmp_path, clock, newest_f
     source = opened(tmp_path, text)
     stamps = [r.stamp_ns for r in source.readings() if isinstance(r, SpeedReading)]
     assert (stamps[-1] - stamps[0]) / 1e9 == drive.time[-1] and len(stamps) == drive.time.size
-    assert "'Time' is assumed to be of 12 hours without AM and PM" in " ".join(source.notes)
+    assert "'Time' is assumed to be a 12-hour clock without AM and PM" in " ".join(source.notes)
 
 
 @pytest.mark.parametrize("hours", [(7, 9), (11, 13), (12, 14), (1, 3)])
@@ -69,7 +69,7 @@ def test_the_unit_of_a_time_is_one_that_cars_can_drive(tmp_path, unit, factor, s
         tmp_path, table(f"Time ({unit}),Speed (km/h),Pack volts (V),Pack amps (A)", drive, line)
     )
     assert measured(source) == pytest.approx((drive.distance, drive.energy), rel=0.01)
-    assert "because no car changes its speed as its name says" in " ".join(source.notes)
+    assert "speed would change as no car's does" in " ".join(source.notes)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e3), ("min", 1 / 60)])

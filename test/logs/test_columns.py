@@ -120,7 +120,7 @@ def test_rows_in_no_order_are_sorted(tmp_path, clock, monkeypatch):
     assert ([*map(repr, again.readings())], again.rules) == (wanted, drive.rules)
     assert (again.seconds, again.dropped) == (drive.seconds, drive.dropped)
     assert [note for note in again.notes if note not in drive.notes] == [
-        "rows stand in no order of time, so they were sorted by it"
+        "rows are not in order of time, so they were sorted"
     ]
     assert drive.in_order and not again.in_order
 
@@ -164,7 +164,9 @@ def test_the_date_may_stand_beside_a_better_clock(tmp_path):
 @pytest.mark.parametrize("days", [45_413, 0])
 def test_serial_dates_of_a_spreadsheet_are_no_seconds(tmp_path, days):
     lines = (f"{days + 0.25 + t / 86400:.12f},{v:.4f},{u},{i:.4f}" for t, v, u, i in rows())
-    with pytest.raises(InputError, match=r"'Date': '[\d.]+' is no time .* time=NAME:%d"):
+    with pytest.raises(
+        InputError, match=r"'Date': '[\d.]+' is in no known format .* time=NAME:%d"
+    ):
         drive_of(tmp_path, "Date,speed (m/s),hv_voltage,hv_current", lines)
 
 

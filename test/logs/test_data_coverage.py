@@ -54,7 +54,10 @@ VERDICTS = [
     (drive([], [1, 2]), "no speed"),
     (drive([1, 2], []), "no voltage"),
     ([BatteryReading(START, math.nan, math.nan), SpeedReading(START, 1.0)], "no voltage"),
-    (drive(range(0, 900, 40), range(900)), "speed comes 0.025 times a second with gaps to 40 s"),
+    (
+        drive(range(0, 900, 40), range(900)),
+        "speed comes 0.025 times a second with gaps of up to 40 s",
+    ),
     (drive(range(5), range(5)), "no 10 s with both"),
     (drive(range(50), range(50), speed=0.0), "never moves"),
     ([], "no speed"),

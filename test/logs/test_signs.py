@@ -135,7 +135,7 @@ def test_a_charging_current_of_its_own_counts_against_the_other(tmp_path, names,
     header = f"time,Speed (km/h),HV Battery Voltage (V),{pair[first]},{pair[1 - first]}"
     source = opened(tmp_path, table(header, DRIVE, line))
     assert measured(source) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
-    assert f"{pair[1]!r} is assumed to flow back, and counts against it" in " ".join(source.notes)
+    assert f"{pair[1]!r} is assumed to flow back, and is subtracted" in " ".join(source.notes)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_the_size_counts_of_speeds_that_are_all_negative(tmp_path, header):
 
     source = opened(tmp_path, table(header, DRIVE, line))
     assert measured(source) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
-    assert "speed: all numbers are negative; their size counts" in source.notes
+    assert "speed: all numbers are negative; so their sign is turned" in source.notes
 
 
 def test_a_car_may_reverse(tmp_path):

@@ -193,4 +193,4 @@ def test_heights_that_never_change_say_that_the_ground_is_level(
         drive = open_drive(path, 24.0, ReadOptions(columns=options, terrain=terrain))
         grades = [r.grade for r in drive.readings() if isinstance(r, kinds.GradeReading)]
         assert grades == [0.0] * 400 * level
-        assert any("the ground is assumed to be level" in note for note in drive.notes) == level
+        assert any("the road is assumed to be level" in note for note in drive.notes) == level

@@ -36,7 +36,7 @@ def test_a_car_that_speeds_up_while_it_charges_has_a_current_of_the_wrong_sign(t
 
 @pytest.mark.parametrize("name", ["power_w", "Battery Power (W)"])
 @pytest.mark.parametrize(
-    ("factor", "said"), [(-1.0, "has the other sign than"), (0.001, "is 0.001 times")]
+    ("factor", "said"), [(-1.0, "has the opposite sign of"), (0.001, "is 0.001 times")]
 )
 def test_power_is_compared_with_voltage_times_current(tmp_path, name, factor, said):
     (note,) = drive_of(tmp_path, f"{OURS},{name}", lines(power=factor)).notes

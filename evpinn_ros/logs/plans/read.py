@@ -1,4 +1,4 @@
-"""Reads plans from files of any kind, recognised by content."""
+"""Reads plans from files; their content decides the format."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ MOST_JSON = 16 << 20  # bytes
 MOST_VALUES = 20 * MAX_POINTS  # values of JSON; each takes up to 150 bytes as a Python object
 BLANK = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # bytes before the first letter, and byte order marks
 TEXTS = {*TEXT_SUFFIXES, ".json"}  # suffixes of plans or drives; the content decides
-BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # and logs in other formats than tables
+BINARY = {*LOG_SUFFIXES, *TABLE_SUFFIXES} - TEXTS  # suffixes of drives only, also CAN logs
 DAMAGED = (AttributeError, IndexError, OverflowError, RecursionError, TypeError, ValueError)
 
 
 def read_plan(
     path: str | Path, vehicle: Vehicle | None = None, options: ReadOptions = READ_DEFAULTS
 ) -> Plan | Legs:
-    """The plan (points or legs) in a file that docs/reference/inputs.md lists.
+    """The plan in a file, as points or legs; docs/reference/inputs.md lists the formats.
 
     InputError if it cannot be read, `PlanError` if it contains no trip; both name the file.
     """
@@ -123,7 +123,7 @@ def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
         raise
     except InputError as error:
         reason = str(error).removeprefix(f"{path}: ").partition("; say --")[0]
-        text = f"{path}: no plan, which has the {COLUMNS}; as a drive: {reason}"
+        text = f"{path}: neither a plan, with the {COLUMNS}, nor a drive: {reason}"
         raise InputError(text) from error
 
 
@@ -150,7 +150,7 @@ def _json_plan(content: bytes, pace: float | None) -> Legs:
         if (legs := legs_of_route(data)) is not None:
             return legs
         if "type" not in data:
-            raise PlanError(f"JSON of no known kind: {KNOWN}")
+            raise PlanError(f"unknown JSON: {KNOWN}")
         return legs_of_track(geojson_track(data), pace)
     except KeyError as error:
         raise PlanError(f"its JSON lacks {error}") from error
@@ -165,9 +165,9 @@ ROAD = {"time", "speed", "elevation", "grade", "latitude", "longitude"}  # colum
 LEAST_GAP = 60.0  # s between two speeds
 GAP_STEPS = 10.0  # mean steps, which a gap also exceeds: some plans have few rows
 LONG_GAP = 600.0  # s; after a longer gap another drive begins
-STANDING = 0.5  # m/s, most before and after a gap
+STANDING = 0.5  # m/s, highest speed before and after a gap of a standing car
 SHORTEST = 2.0  # s
-UNIT_OF_TIME = "a column of times says its unit, as t_s or 'time [ms]' do"
+UNIT_OF_TIME = "name the column of times with its unit, as t_s or 'time [ms]'"
 AS_DRIVEN = "; it is taken as driven; --expected adds what drivers do between its points"
 DRIVEN = {topic.type_name for topic in SPEEDS} | {FRAME_TYPE}
 
@@ -180,7 +180,7 @@ def driven_plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan:
         raise InputError(source.problem)
     mixed = not source.in_order and not source.dated  # rows may be legs with durations
     if mixed or source.dropped["time_not_increasing"] > len(readings):
-        raise PlanError("its times do not rise, so they are no times")
+        raise PlanError("its times do not rise; is the column of times the right one?")
     recorded = not source.rules or source.dated or any(r.quantity in BATTERY for r in source.rules)
     plan = plan_of_readings(readings, recorded=bool(recorded))
     _warn_of_choices(source, AS_DRIVEN if plan.commanded else "")
@@ -228,7 +228,7 @@ def plan_of_readings(readings: Iterable[Reading], *, recorded: bool = True) -> P
     plan = replace(drive_plan(speed, altitude), level=len(grade) > 0)
     if recorded or plan.commanded or not len(altitude):
         return plan
-    return replace(plan, elevation=np.interp(plan.time, *altitude.T))  # no receiver's: exact
+    return replace(plan, elevation=np.interp(plan.time, *altitude.T))  # exact, not a receiver's
 
 
 def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
@@ -238,7 +238,7 @@ def _series(rows: list[tuple[int, float]], start: int) -> np.ndarray:
 
 
 def _driven(speed: np.ndarray) -> np.ndarray:
-    """Times since the first speed, s, without long gaps and long standstills."""
+    """Times since the first speed, s; long gaps, except of standing, are cut to `PLAN_STEP`."""
     steps = np.diff(speed[:, 0])
     gap = steps > max(LEAST_GAP, GAP_STEPS * float(np.minimum(steps, LONG_GAP).mean()))
     moving = np.maximum(np.abs(speed[:-1, 1]), np.abs(speed[1:, 1])) > STANDING

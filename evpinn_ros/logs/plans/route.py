@@ -2,9 +2,9 @@
 
 Formats by their documentation: Valhalla's `route` and `trace_attributes`
 (valhalla.github.io/valhalla/api), OSRM (project-osrm.org/docs), GraphHopper (docs.graphhopper.com)
-and openrouteservice (giscience.github.io/openrouteservice). The finest parts with a known duration
-are read, then joined (`_lasting`), as a service's time of an edge contains no stop. Services split
-a road anywhere, so consecutive parts of one speed are joined first.
+and openrouteservice (giscience.github.io/openrouteservice). The finest parts with a duration are
+joined (`_lasting`) to legs: first those of one speed, as services split a road anywhere, then
+until each lasts `SETTLED`, as the duration of a short part contains no stop.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ CARRIERS = {"ferry", "train", "rail", "rail-ferry", "rail_ferry", "shuttle train
 FERRY_MANEUVER, FERRY_SIGN = 28, 9  # types of Valhalla and GraphHopper
 FERRY_CATEGORY, FERRY_WAY = 8, 9  # openrouteservice: a bit of `waycategory`, one of `waytypes`
 LOST = 500.0  # m of a ferry that no part of a route shows
-HIDDEN = "a ferry or a train is within one of its parts; ask for finer ones"
+HIDDEN = "a part of it is partly on a ferry or a train; ask for finer parts"
 # A part as long, m, and as slow, m/s, may be a ferry.
 LONG_PART, SLOW_PART = 1000.0, 20.0 / 3.6
 KNOWN = (
     "known are GeoJSON and the answers of Valhalla, OSRM, GraphHopper and openrouteservice, and "
     "drives that `evpinn replay` reads"
 )
-FOREIGN = f"an answer of no known route service (Google's is none): {KNOWN}"
+FOREIGN = f"an answer of an unknown route service (Google's is one): {KNOWN}"
 MOST_CHUNKS = 7  # characters of a number: 35 bits, of which coordinates need 29
 
 
@@ -54,7 +54,7 @@ class RoutePart(NamedTuple):
 
 
 def legs_of_route(data: Json) -> Legs | None:
-    """Legs of a route service's answer, None for other JSON; PlanError if it has no route."""
+    """Legs of a route service's answer; None for other JSON, PlanError for an unusable answer."""
     if "legs" in (data.get("trip") or ()):
         return _valhalla_route(_first([data["trip"], *(data.get("alternates") or ())]))
     if "edges" in data:
@@ -106,7 +106,7 @@ def _legs(
 ) -> Legs:
     """Legs of the parts that are driven; warns of a possible ferry unless these are `told`."""
     if not parts:
-        raise PlanError("its route has no parts")
+        raise PlanError("its route has no legs or steps")
     rows = np.array(parts, float)
     refuse(~np.isfinite(rows).all(axis=1), "length or time is unknown, or speed 0", "part")
     if not told:
@@ -141,7 +141,7 @@ def _driven(
         stacklevel=4,
     )
     if carried.all():
-        raise PlanError("nothing of it is driven")
+        raise PlanError("its whole route is on a ferry or a train")
     if heights is not None:
         ends, driven = sums(rows[:, 0]), sums(np.where(carried, 0.0, rows[:, 0]))
         part = np.clip(np.searchsorted(ends, heights.along, "right") - 1, 0, len(rows) - 1)
@@ -154,7 +154,7 @@ def _driven(
 def _carried(
     spans: Sequence[Sequence[int]], carriers: Sequence[Sequence[int]], along: np.ndarray
 ) -> list[bool]:
-    """Whether the car is carried on most of each span of points.
+    """True for each span of points on most of which the car is carried.
 
     `along` are distances of the points, m; PlanError if a span hides a ferry.
     """
@@ -163,17 +163,16 @@ def _carried(
         ends = ((max(span[0], begin), min(span[1], end)) for begin, end, *_ in carriers)
         return sum(float(along[end] - along[begin]) for begin, end in ends if begin < end)
 
-    on_it = [shared(span) for span in spans]
-    length = [float(along[span[1]] - along[span[0]]) for span in spans]
-    are = [part > 0.5 * whole for part, whole in zip(on_it, length, strict=True)]
-    told = sum(whole for whole, carried in zip(length, are, strict=True) if carried)
-    if abs(sum(float(along[end] - along[begin]) for begin, end, *_ in carriers) - told) > LOST:
+    lengths = [float(along[span[1]] - along[span[0]]) for span in spans]
+    is_carried = [shared(span) > 0.5 * length for span, length in zip(spans, lengths, strict=True)]
+    counted = sum(length for length, carried in zip(lengths, is_carried, strict=True) if carried)
+    if abs(sum(float(along[end] - along[begin]) for begin, end, *_ in carriers) - counted) > LOST:
         raise PlanError(HIDDEN)
-    return are
+    return is_carried
 
 
 def _lasting(parts: np.ndarray) -> np.ndarray:
-    """Parts in order, (n, 2), joined if of equal speed, and until each lasts `SETTLED`."""
+    """Lengths, m, and durations, s, (n, 2), joined if of one speed and until `SETTLED`."""
     begins_one = np.concatenate(([True], parts[:-1, 1] > 0.0))  # others join the next part
     parts = np.add.reduceat(parts, np.flatnonzero(begins_one))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -191,7 +190,7 @@ def _lasting(parts: np.ndarray) -> np.ndarray:
 
 
 def _scaled(parts: Sequence[float] | np.ndarray, total: float) -> np.ndarray:
-    """The parts, scaled to a total, which also contains the distance between them."""
+    """The parts, scaled so that they add up to `total`; unchanged if either is 0."""
     numbers = np.array(parts, float)
     return numbers * (total / numbers.sum()) if total > 0 and numbers.sum() > 0 else numbers
 
@@ -202,19 +201,19 @@ def _valhalla_route(trip: Json) -> Legs:
     heights: list[np.ndarray] = []
     end = 0.0
     for leg in trip["legs"]:
-        made = leg.get("maneuvers") or [leg["summary"]]
+        maneuvers = leg.get("maneuvers") or [leg["summary"]]
         parts += [
             RoutePart(
                 maneuver["length"] * metres,
                 maneuver["time"],
                 bool(maneuver.get("ferry")) or maneuver.get("type") == FERRY_MANEUVER,
             )
-            for maneuver in made
+            for maneuver in maneuvers
         ]
         ferry = (leg.get("summary") or {}).get("has_ferry")
-        if ferry and not any(part.carried for part in parts[-len(made) :]):
+        if ferry and not any(part.carried for part in parts[-len(maneuvers) :]):
             raise PlanError(HIDDEN)
-        begin, end = end, end + sum(maneuver["length"] for maneuver in made) * metres
+        begin, end = end, end + sum(maneuver["length"] for maneuver in maneuvers) * metres
         if leg.get("elevation"):
             up = np.array(leg["elevation"], float) * metres_up
             along = begin + np.arange(len(up)) * float(leg["elevation_interval"]) * metres_up
@@ -247,7 +246,7 @@ def _units(answer: Json) -> tuple[float, float]:
 
 
 def _osrm_parts(leg: Json) -> Iterator[RoutePart]:
-    """Segments of the annotation, scaled to the leg's duration, which has turns; or steps."""
+    """Segments of the annotation, scaled to the leg's duration, which includes turns; or steps."""
     given = leg.get("annotation") or {}
     steps = [
         RoutePart(step["distance"], step["duration"], step.get("mode") in CARRIERS)
@@ -278,19 +277,21 @@ def _graphhopper(path: Json) -> Legs:
     total, details = float(path["distance"]), path.get("details") or {}
     line = _line(path.get("points"), total, path.get("points_encoded_multiplier", 1e5))
     timed = next((name for name in ("time", "average_speed") if name in details), "")
-    made = path.get("instructions") or [path]
+    instructions = path.get("instructions") or [path]
     environment = details.get("road_environment") or ()
     carriers = [span for span in environment if span[2] in CARRIERS]
-    carriers = carriers or [part["interval"] for part in made if part.get("sign") == FERRY_SIGN]
+    carriers = carriers or [
+        part["interval"] for part in instructions if part.get("sign") == FERRY_SIGN
+    ]
     if line:
-        line = line._replace(along=_as_instructed(line.along, made))
+        line = line._replace(along=_as_instructed(line.along, instructions))
     if line and timed:
         rows = [(line.along[end] - line.along[begin], value)
                 for begin, end, value in details[timed]]  # fmt: skip
         spans = details[timed]
     else:
-        rows = [(instruction["distance"], instruction["time"]) for instruction in made]
-        spans = [instruction.get("interval", (0, -1)) for instruction in made]
+        rows = [(instruction["distance"], instruction["time"]) for instruction in instructions]
+        spans = [instruction.get("interval", (0, -1)) for instruction in instructions]
     along = line.along if line else np.arange(1 + max((span[1] for span in spans), default=0))
     carried = _carried(spans, carriers, along) if carriers else [False] * len(rows)
     lengths, values = np.array(rows, float).T
@@ -319,10 +320,10 @@ def _openrouteservice(route: Json, geometry: Any, data: Json) -> Legs:
     parts: list[RoutePart] = []
     spans: list[Sequence[int]] = []
     for segment in route["segments"]:
-        made = segment.get("steps") or [segment]
-        lengths = _scaled([step["distance"] for step in made], segment["distance"] * metres)
-        parts += map(RoutePart, lengths, [step["duration"] for step in made])
-        spans += (step.get("way_points", (0, 0)) for step in made)
+        steps = segment.get("steps") or [segment]
+        lengths = _scaled([step["distance"] for step in steps], segment["distance"] * metres)
+        parts += map(RoutePart, lengths, [step["duration"] for step in steps])
+        spans += (step.get("way_points", (0, 0)) for step in steps)
     line = _line(geometry, sum(part.length for part in parts), 1e5)
     extras = route.get("extras") or {}
     if "waycategory" in extras:

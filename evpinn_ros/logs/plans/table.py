@@ -43,7 +43,7 @@ STEEPEST = 0.5  # of any road: 35 % in a street, more on a track
 NEEDED = ("t_s", "speed_mps")
 BATTERY = ({"voltage_v", "current_a"}, {"power_w"})  # of a drive; a forecast also has a distance
 Kinds: TypeAlias = Mapping[str, tuple[tuple[str, ...], str]]
-"""Columns by their content: words before the unit, and a quantity of the same units."""
+"""Columns by their kind: words before the unit, and a quantity of the same units."""
 PROFILE_COLUMNS: Kinds = {  # "cyc" as FASTSim has it: cycSecs, cycMps, cycGrade
     "time": (("t", "time", "cyc"), "time"),
     "speed": (("speed", "cyc", ""), "speed"),
@@ -61,8 +61,8 @@ LEG_COLUMNS: Kinds = {
 HEIGHTS = {"elevation", "climb", "end"}  # columns that make a slope unnecessary
 SLOPES = {"grade", "incline"}
 CYCLE = (
-    "a slope beside each speed is that of a driving cycle, which is taken as driven; --expected "
-    "adds what drivers do between its points"
+    "times, speeds and slopes are read as a driving cycle, driven exactly; --expected adds what "
+    "drivers do between its points"
 )
 
 
@@ -75,9 +75,9 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
     if columns := profile_columns(names):
         warn_of_unused(names, (name for name, _ in columns.values()))
         profile = {
-            what: column
-            for what, column in _in_si(columns, given).items()
-            if what in ("time", "speed") or not np.isnan(column).all()  # an empty one says nothing
+            kind: column
+            for kind, column in _in_si(columns, given).items()
+            if kind in ("time", "speed") or not np.isnan(column).all()  # an empty one says nothing
         }
         time, speed, distance = profile["time"], profile["speed"], profile.get("distance")
         plan = plan_from_speed_profile(time, distance, speed, profile.get("elevation"))
@@ -100,17 +100,17 @@ def plan_of_columns(given: Mapping[str, Any]) -> Plan | Legs:
 
 def _check_each(legs: Mapping[str, np.ndarray]) -> None:
     """Refuse, or warn of, columns that seem counted from the start, or that end with a total."""
-    for what in ("length", "duration"):
-        column = legs.get(what, np.empty(0))
+    for kind in ("length", "duration"):
+        column = legs.get(kind, np.empty(0))
         if len(column) >= SAID_RISING and (np.diff(column) > 0.0).all():
             text = (
-                f"each {what} is larger than the one before, as if counted from the start; a leg "
-                "has its own"
+                f"each {kind} is larger than the one before, as if counted from the start; give "
+                "that of each leg"
             )
             if len(column) >= LEAST_RISING:
                 raise PlanError(text)
             warnings.warn(text, stacklevel=4)
-    columns = [legs[what] for what in ("length", "duration") if what in legs]
+    columns = [legs[kind] for kind in ("length", "duration") if kind in legs]
     if len(columns[0]) >= LEAST_SUMMED and all(
         math.isclose(column[-1], column[:-1].sum(), rel_tol=1e-3) for column in columns
     ):
@@ -127,7 +127,7 @@ def edges_of_columns(given: Mapping[str, Any]) -> Legs:
 
 
 def table_plan(path: Path) -> Plan | Legs | None:
-    """The plan in a text table; None for other columns, which may be those of a drive."""
+    """The plan in a text table; None if its columns are no plan's, but perhaps a drive's."""
     table = TextTable(path)
     head = find_head(table)
     names = {*head.names}
@@ -151,7 +151,7 @@ def table_plan(path: Path) -> Plan | Legs | None:
 
 def _has_battery(names: Sequence[str]) -> bool:
     """True for columns of a recorded drive, whose reader supports no grade."""
-    return any(score(what, name) > 0 for what in ("voltage", "current", "power") for name in names)
+    return any(score(kind, name) > 0 for kind in ("voltage", "current", "power") for name in names)
 
 
 def warn_of_unused(names: Iterable[str], used: Iterable[str] = ()) -> None:
@@ -171,13 +171,13 @@ class Cells(NamedTuple):
 
 
 def profile_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Columns of speed over time by content, with SI values per unit; empty for others."""
+    """Name and SI value per unit of the columns of speed over time by kind; else empty."""
     columns, _ = _known_columns(names, PROFILE_COLUMNS)
     return columns if columns.keys() >= {"time", "speed"} else {}
 
 
 def leg_columns(names: Sequence[str]) -> dict[str, tuple[str, float]]:
-    """Columns of legs by content, with SI value per unit; PlanError without a unit."""
+    """Name and SI value per unit of the columns of legs by kind; PlanError without unit."""
     columns, bare = _known_columns(names, LEG_COLUMNS)
     ours = {name for name, _ in columns.values()} | {*bare.values()}
     timed = any(score("time", str(name)) > 0 for name in names if name not in ours)
@@ -203,18 +203,18 @@ def _known_columns(
     for name in map(str, names):
         if score("grade", name) > 0.0 and not columns.keys() & SLOPES:
             text, unit = unit_of("grade", name)
-            what = "incline" if text in ANGLES else "grade"
-            columns[what] = name, unit.factor if unit else math.nan
+            kind = "incline" if text in ANGLES else "grade"
+            columns[kind] = name, unit.factor if unit else math.nan
             continue
-        for what, (phrases, quantity) in kinds.items():
+        for kind, (phrases, quantity) in kinds.items():
             text, unit = unit_of(quantity, name)
             words = words_of(name)[0].replace(" per ", " ").strip()
             if unit is None and words in phrases:
-                bare[what] = name
+                bare[kind] = name
             elif unit and words.removesuffix(text.replace("/", " ")).strip() in phrases:
-                columns[what] = name, unit.factor
+                columns[kind] = name, unit.factor
     if columns.keys() & HEIGHTS:
-        columns = {what: column for what, column in columns.items() if what not in SLOPES}
+        columns = {kind: column for kind, column in columns.items() if kind not in SLOPES}
     return columns, bare
 
 
@@ -222,22 +222,22 @@ def _in_si(
     columns: Mapping[str, tuple[str, float]], given: Mapping[str, Any]
 ) -> dict[str, np.ndarray]:
     numbers = {
-        what: _numbers(name, given[name]) * (1.0 if math.isnan(factor) else factor)
-        for what, (name, factor) in columns.items()
+        kind: _numbers(name, given[name]) * (1.0 if math.isnan(factor) else factor)
+        for kind, (name, factor) in columns.items()
     }
     if "grade" in columns and math.isnan(columns["grade"][1]):
         numbers["grade"] *= _grade_unit(columns["grade"][0], numbers["grade"])
     if "incline" in numbers:
         numbers["grade"] = np.tan(numbers.pop("incline"))
     refuse(np.abs(numbers.get("grade", np.empty(0))) > STEEPEST, "no road is so steep", "row")
-    for what in numbers.keys() & {"elevation", "start", "end"}:
-        here = numbers[what]
+    for kind in numbers.keys() & {"elevation", "start", "end"}:
+        here = numbers[kind]
         refuse(~np.isnan(here) & ~possible_heights(here), "no road is at this height", "row")
     heights = numbers.get("elevation", numbers.get("end", np.empty(0)))
     if len(heights) > 1 and np.ptp(heights) == 0.0:
         warnings.warn(LEVEL, stacklevel=4)
     if len({len(column) for column in numbers.values()}) > 1:
-        lengths = ", ".join(f"{name} {len(numbers[what])}" for what, (name, _) in columns.items())
+        lengths = ", ".join(f"{name} {len(numbers[kind])}" for kind, (name, _) in columns.items())
         raise InputError(f"the columns have different numbers of rows: {lengths}")
     return numbers
 
@@ -288,12 +288,12 @@ def _numbers(name: str, values: Any) -> np.ndarray:
         numbers = to_floats(*values)
         for place in np.flatnonzero(np.isnan(numbers)):
             if not is_missing(cell := values.cells[place][:40]):
-                raise InputError(f"{name} holds what is no number, {cell!r} in row {place + 1}")
+                raise InputError(f"{name}: {cell!r} in row {place + 1} is not a number")
         return numbers
-    with as_input_error(f"{name} holds what is no number", TypeError, ValueError, OverflowError):
+    with as_input_error(f"{name} holds no numbers", TypeError, ValueError, OverflowError):
         array = np.atleast_1d(np.asarray(values))
         if array.dtype.kind in "mM":
-            raise InputError(f"{name} holds dates; a plan's are seconds, as of dt.total_seconds()")
+            raise InputError(f"{name} holds dates; give seconds, as dt.total_seconds() does")
         numbers = np.array(array.tolist(), float)
     if numbers.ndim > 1:
         raise InputError(f"{name} has the shape {numbers.shape}; a plan is one trip")

@@ -66,7 +66,7 @@ def legs_of_track(track: GeoTrack, pace: float | None = None) -> Legs:
         timed = timed[: len(track.time)]
     place, time, speed, part = track
     if len(place) < 2:
-        raise PlanError("it has no line of two points or more")
+        raise PlanError("it has no line with two points or more")
     place = place.copy()
     place[timed, :2] = without_wander(place[timed, :2], time[timed])
     if timed.all():
@@ -131,7 +131,7 @@ def _warn_of_ways(steps: np.ndarray, apart: np.ndarray) -> None:
 
 
 def _pauses(time: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points before pauses longer than lost reception, and s of pauses before each point."""
+    """Indices of points before pauses of over `LEAST_GAP`, and s of pauses up to each point."""
     timed = np.flatnonzero(np.isfinite(time))
     after = np.searchsorted(timed, apart, "right")
     apart, after = (border[(after > 0) & (after < len(timed))] for border in (apart, after))

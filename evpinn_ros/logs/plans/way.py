@@ -1,4 +1,4 @@
-"""A path of points with times: the form of tracks and routes before they become legs."""
+"""Makes legs from points with times, and removes the noise of a receiver from them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Heights(NamedTuple):
 
     @property
     def usable(self) -> np.ndarray:
-        """True where the height is of a road: marks for voids are none, nor are zeros alone."""
+        """True where a road can be so high: not for marks of voids, nor if all others are 0."""
         on_earth = possible_heights(self.height)
         return np.asarray(on_earth & self.height[on_earth].any())
 
@@ -64,7 +64,7 @@ class Heights(NamedTuple):
         return np.where((middle >= along[0]) & (middle <= along[-1]), climb, np.nan)
 
     def warn(self) -> None:
-        """Warn of what the heights leave open."""
+        """Warn if all heights are equal, and if some are unknown."""
         usable = self.usable
         count, unknown = len(usable), int((~usable).sum())
         if usable.sum() > 1 and np.ptp(self.height[usable]) == 0.0:
@@ -74,9 +74,10 @@ class Heights(NamedTuple):
             warnings.warn(f"{text}; interpolated between the others", stacklevel=3)
 
     def borders(self, most: int) -> np.ndarray:
-        """Distances, m, between which slopes are even and heights known, or not; at most `most`.
+        """Rising distances, m, between which the slope is constant, or unknown.
 
-        In order; empty if no heights are known.
+        The ends of the known heights, and a grid of `HEIGHT_STEP` unless it has over `most`
+        distances; empty without heights.
         """
         usable = self.usable
         if usable.sum() < 2:
@@ -112,7 +113,7 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
     refuse(steps < 0, "time goes back", after=1)
     kept = np.flatnonzero(np.concatenate(([True], steps > 0)))
     if len(kept) < 2:
-        raise PlanError("it takes no time")
+        raise PlanError("its duration is 0 s")
     kept[-1] = len(time) - 1
     distance = distance[kept]
     climb = None
@@ -125,7 +126,7 @@ def legs_between(time: np.ndarray, distance: np.ndarray, heights: Heights | None
 def with_borders(
     time: np.ndarray, distance: np.ndarray, borders: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times, s, and distances, m, of n points, with those of the borders inserted."""
+    """Times, s, and distances, m, of n points, with the `borders`, m, inserted."""
     place = np.searchsorted(distance, borders)
     inner = (place > 0) & (place < len(distance))
     place, borders = place[inner], borders[inner]
@@ -170,8 +171,8 @@ def without_noise(place: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Longitudes and latitudes, degrees, shape (n, 2), without the noise of a receiver.
 
     Noise of 2 m once a second is 3 m/s in the speed, which would cost more than the drive. Its
-    size is that by which places shake beyond a car's changes of speed. They are smoothed until it
-    leaves an acceleration of `NOISE_LEFT`, by a filter of fourth order, which keeps bends.
+    variance is that of the third differences beyond a car's changes of acceleration. A filter of
+    fourth order, which keeps bends, leaves an acceleration of `NOISE_LEFT`.
 
     Args:
         place: of n points, longitude and latitude, degrees, shape (n, 2).
@@ -184,19 +185,7 @@ def without_noise(place: np.ndarray, time: np.ndarray) -> np.ndarray:
     if not 0.0 < usual <= NOISY_STEP or (steps < 0.0).any():
         return place
     metres = np.unwrap(place, axis=0, period=360.0) * _metres_per_degree(place)
-    stride = max(1, round(NOISE_SECONDS / usual))
-    seconds, moves = np.diff(time[::stride]), np.diff(metres[::stride], axis=0)
-    every = stride * usual
-    told = (np.abs(seconds - every) < every / 2.0) & moves.any(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        speeds = moves * (every / seconds[:, None])
-        shakes = np.diff(speeds, 2, axis=0)[told[2:] & told[1:-1] & told[:-2]]
-    if len(shakes) < LEAST_SHAKES:
-        return place
-    square = np.median((shakes**2).sum(1)) / (2.0 * np.log(2.0))  # of one axis, if normal
-    # The third difference of white noise has 20 times its variance.
-    variance = max(square - (SHAKEN * every**2) ** 2, 0.0) / 20.0
-    width = (1.14 * variance * every / NOISE_LEFT**2) ** 0.2 / usual
+    width = _filter_width(metres, time, usual)
     if width < 0.5:
         return place
     moves = np.diff(metres, axis=0)
@@ -214,8 +203,28 @@ def without_noise(place: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.asarray(place[0] + moved / _metres_per_degree(place))
 
 
+def _filter_width(metres: np.ndarray, time: np.ndarray, usual: float) -> float:
+    """Width, in usual steps of `usual` s, of the filter that leaves `NOISE_LEFT`; 0 if unknown.
+
+    `metres` are n positions, shape (n, 2), and `time`, s, shape (n,), their times.
+    """
+    stride = max(1, round(NOISE_SECONDS / usual))
+    seconds, moves = np.diff(time[::stride]), np.diff(metres[::stride], axis=0)
+    every = stride * usual
+    even = (np.abs(seconds - every) < every / 2.0) & moves.any(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        speeds = moves * (every / seconds[:, None])
+        shakes = np.diff(speeds, 2, axis=0)[even[2:] & even[1:-1] & even[:-2]]
+    if len(shakes) < LEAST_SHAKES:
+        return 0.0
+    square = np.median((shakes**2).sum(1)) / (2.0 * np.log(2.0))  # of one axis, if normal
+    # The third difference of white noise has 20 times its variance.
+    variance = max(float(square) - (SHAKEN * every**2) ** 2, 0.0) / 20.0
+    return float((1.14 * variance * every / NOISE_LEFT**2) ** 0.2 / usual)
+
+
 def _metres_per_degree(place: np.ndarray) -> np.ndarray:
-    """M per degree of longitude and of latitude at the first place, shape (2,)."""
+    """Metres per degree of longitude and of latitude at the first place, shape (2,)."""
     shrunk = np.cos(np.radians(place[0, 1]))
     return np.asarray(np.radians(EARTH_RADIUS) * np.array([shrunk, 1.0]))
 
@@ -223,7 +232,7 @@ def _metres_per_degree(place: np.ndarray) -> np.ndarray:
 def way_length(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
     """Distance from the first of n places, degrees, along great circles, m; PlanError."""
     if not ((np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)).all():
-        raise PlanError("a place of it is not on Earth (longitude and latitude in degrees?)")
+        raise PlanError("a position is not on Earth: are longitude and latitude in degrees?")
     x, y = np.radians(longitude), np.radians(latitude)
     across = np.cos(y[1:]) * np.cos(y[:-1]) * np.sin(np.diff(x) / 2) ** 2
     part = np.sqrt(np.sin(np.diff(y) / 2) ** 2 + across)

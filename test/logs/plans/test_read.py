@@ -165,11 +165,11 @@ def test_few_rows_of_a_plan_are_no_gaps(read, time):
     ("content", "name", "reason"),
     [
         ("", "plan.csv", "the file is empty"),
-        ("hello\n", "plan.csv", "no plan, which has the columns t_s and speed_mps"),
+        ("hello\n", "plan.csv", "neither a plan, with the columns t_s and speed_mps"),
         (
             "time,kmh\n0,0\n20,36\n400,72\n",
             "drive.csv",
-            "no plan; a column of times says its unit",
+            "no plan; name the column of times with its unit",
         ),
         (b"\x89MCAP0\r\n", "drive.mcap", "drive.mcap"),
         ("(0.0) can0 257#00\n", "drive.log", "names no CAN profile"),

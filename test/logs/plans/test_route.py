@@ -165,7 +165,7 @@ def test_what_a_ferry_or_a_train_carries_is_not_driven(read, answer):
 def test_a_ferry_that_is_hidden_in_a_part_is_refused(read):
     answer = samples.openrouteservice()
     answer["routes"][0]["extras"] = {"waycategory": {"values": [[0, 40, 1], [40, 50, 8]]}}
-    with pytest.raises(PlanError, match="a ferry or a train is within one of its parts"):
+    with pytest.raises(PlanError, match="a part of it is partly on a ferry or a train"):
         read(answer)
     hidden = samples.valhalla()
     hidden["trip"]["legs"][0]["summary"]["has_ferry"] = True
@@ -174,7 +174,10 @@ def test_a_ferry_that_is_hidden_in_a_part_is_refused(read):
     whole = samples.osrm(annotated=False)
     for step in whole["routes"][0]["legs"][0]["steps"]:
         step["mode"] = "ferry"
-    with pytest.warns(UserWarning), pytest.raises(PlanError, match="nothing of it is driven"):
+    with (
+        pytest.warns(UserWarning),
+        pytest.raises(PlanError, match="on a ferry or a train"),
+    ):
         read(whole)
 
 
@@ -245,7 +248,7 @@ def test_legs_of_several_waypoints_follow_each_other(read):
         ({"routes": [], "code": "Ok"}, "there is no route in this answer"),
         ({"vehicle": "bmw_i3"}, "known are GeoJSON and the answers of Valhalla"),
         *(
-            ({"routes": [route], "status": "OK"}, "Google's is none.: known are GeoJSON")
+            ({"routes": [route], "status": "OK"}, "Google's is one.: known are GeoJSON")
             for route in (
                 {"legs": [{"distance": {"text": "12 km", "value": 12000}, "duration": {}}]},
                 {"legs": [{"distanceMeters": 12000, "duration": "600s"}], "polyline": {}},

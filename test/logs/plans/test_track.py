@@ -143,9 +143,9 @@ EMPTY = ["500", "", " ", "504", "509"]  # heights, as of a receiver that lost th
 @pytest.mark.parametrize(
     ("track", "said"),
     [
-        (gpx(heights=[7.0] * 5), "alike, so the ground is assumed to be level"),
-        (geojson(heights=[7.0] * 5, coordTimes=CLOCK), "alike"),
-        (level_route(), "alike"),
+        (gpx(heights=[7.0] * 5), "equal, so the road is assumed to be level"),
+        (geojson(heights=[7.0] * 5, coordTimes=CLOCK), "heights are equal"),
+        (level_route(), "heights are equal"),
         (gpx(heights=EMPTY), "unknown at 2 of 5 places"),
         (gpx(heights=EMPTY).replace("<ele></ele>", "<ele/>"), "unknown at 2 of 5 places"),
         (geojson(heights=[500.0, None, None, 504.0, 509.0], coordTimes=CLOCK), "unknown at 2 of"),
