@@ -73,6 +73,12 @@ class Column:
         """The column with a known unit."""
         return replace(self, factor=unit.factor, offset=unit.offset, unit=text, why=why)
 
+    @property
+    def turned_unit(self) -> str:
+        """The unit for `--column` that turns the sign."""
+        unit = self.unit.lstrip("-") or next(iter(QUANTITIES[self.quantity].units))
+        return unit if self.unit.startswith("-") else f"-{unit}"
+
     def turned(self) -> Column:
         """The column with the opposite sign."""
         return replace(self, factor=-self.factor, offset=-self.offset, unit=f"-{self.unit}")
@@ -106,7 +112,7 @@ class Column:
         if not self.could_be:
             return ""
         option = f"--column '{self.quantity}={self.name}:{self.could_be[0]}'"
-        if self.quantity in SIGNED:
+        if self.could_be[0] == self.turned_unit:
             return f"{self.quantity}: the sign of {self.name!r} is assumed; {option} turns it"
         return (
             f"{self.quantity}: {self.name!r} is assumed to be in {self.unit}, "

@@ -8,7 +8,6 @@ import numpy as np
 
 from evpinn_ros.core.signals.detector import DRAWN_AT_REST
 from evpinn_ros.logs.column import Column
-from evpinn_ros.logs.quantities import QUANTITIES
 from evpinn_ros.logs.signal import (
     EVENT,
     LEAST_EVENTS,
@@ -59,12 +58,10 @@ def doubts(used: Mapping[str, Column], cells: Mapping[str, Signal]) -> Iterator[
         return
     column = used["current" if {"voltage", "current"} <= used.keys() else "power"]
     if pull(signals["speed"], drawn) < 0.0:
-        unit = column.unit.lstrip("-") or next(iter(QUANTITIES[column.quantity].units))
-        turned = unit if column.unit.startswith("-") else f"-{unit}"
-        remedy = f"--column '{column.quantity}={column.name}:{turned}' turns it"
+        remedy = f"--column '{column.quantity}={column.name}:{column.turned_unit}' turns it"
         yield wrong_sign(repr(column.name), remedy)
     elif column.could_be and column.why:
-        yield f"the sign of {column.name!r} is assumed, {column.assumption.partition('; ')[2]}"
+        yield column.assumption.partition(": ")[2]
     yield from energy_doubts(signals, repr(column.name))
 
 

@@ -206,7 +206,9 @@ class TableDrive(Source):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for a person on how the table was read; complete once exhausted."""
-        notes = [*self.assumptions, *self._doubts, *self._contradictions]
+        assumed = " ".join(self.assumptions)  # an assumed sign is a doubt too, but told once
+        doubts = [doubt for doubt in self._doubts if doubt not in assumed]
+        notes = [*self.assumptions, *doubts, *self._contradictions]
         comments = self._head.comments
         notes += [text.lstrip("# ") for text in comments if text.startswith(OTHER_SHEETS)]
         if not self.in_order:

@@ -147,7 +147,7 @@ def _with_sign(
         positive, shows, certain = _sign_of_driving(drawn, speed, cells)
     why = f"{'positive' if positive else 'negative'} while it discharges, {shows}"
     column = replace(column if positive else column.turned(), why=why)
-    return column if certain else column.guessed((f"-{column.unit.lstrip('-')}",))
+    return column if certain else column.guessed((column.turned_unit,))
 
 
 def _sign_of_driving(

@@ -45,14 +45,32 @@ def test_a_measured_voltage_is_used_before_a_computed_one(tmp_path, name, first)
     assert measured(source) == pytest.approx((LIGHT.distance, LIGHT.energy), rel=0.01)
 
 
-def test_accelerating_decides_the_sign_where_a_computed_voltage_says_otherwise(tmp_path):
+@pytest.mark.parametrize(("sign", "opposite"), [(1, "-a"), (-1, "a")])
+def test_accelerating_decides_the_sign_where_a_computed_voltage_says_otherwise(
+    tmp_path, sign, opposite
+):
     def line(t, v, _, i, *__):
-        return f"{t:.0f},{3.6 * v:.2f},{84.0 + 0.01 * i:.3f},{i:.2f},{84 * i:.0f}"
+        return f"{t:.0f},{3.6 * v:.2f},{84.0 + 0.01 * i:.3f},{sign * i:.2f},{84 * i:.0f}"
 
     header = "time (s),speed (km/h),battery_corrected_voltage,current,power"
     source = opened(tmp_path, table(header, LIGHT, line))
     assert measured(source)[1] == pytest.approx(LIGHT.energy, rel=0.02)
-    assert "the sign of 'current' is assumed" in " ".join(source.notes)
+    assumed = f"the sign of 'current' is assumed; --column 'current=current:{opposite}' turns it"
+    assert " ".join(source.notes).count(assumed) == 1
+    turned = opened(tmp_path, source.path.read_text(), columns=[f"current=current:{opposite}"])
+    assert rule(turned, "current").factor == -sign
+
+
+def test_a_power_whose_unit_is_assumed_says_so(tmp_path):
+    """It said that the sign was assumed, and that `:w` turns it."""
+
+    def line(t, v, u, i, *_):
+        return f"{t:.0f},{3.6 * v:.2f},{8e-3 * u * i:.2f}"
+
+    source = opened(tmp_path, table("time (s),speed (km/h),Battery Power", DRIVE, line))
+    measured(source)
+    assumed = "'Battery Power' is assumed to be in kw, and could be in w; --column"
+    assert assumed in " ".join(source.notes) and "the sign" not in " ".join(source.notes)
 
 
 @pytest.mark.parametrize("clock", ["ms_today", "Time (s)", "elapsed_ms"])
