@@ -169,7 +169,7 @@ def test_a_ferry_that_is_hidden_in_a_part_is_refused(read):
         read(answer)
     hidden = samples.valhalla()
     hidden["trip"]["legs"][0]["summary"]["has_ferry"] = True
-    with pytest.raises(PlanError, match="a ferry or a train is within one of its parts"):
+    with pytest.raises(PlanError, match="a part of it is partly on a ferry or a train"):
         read(hidden)
     whole = samples.osrm(annotated=False)
     for step in whole["routes"][0]["legs"][0]["steps"]:
@@ -255,7 +255,7 @@ def test_legs_of_several_waypoints_follow_each_other(read):
                 {"sections": [{"summary": {"length": 12000}}]},
             )
         ),
-        ({"routes": {"features": []}, "messages": []}, "Google's is none.: known are GeoJSON"),
+        ({"routes": {"features": []}, "messages": []}, "Google's is one.: known are GeoJSON"),
         ({"error": {"description": "no route"}}, "found no route: no route"),
         ({"units": "kilometers", "edges": [{"length": 1, "speed": 0}]}, "speed 0 at part 1"),
         (
