@@ -243,7 +243,7 @@ def test_a_unit_that_changes_on_the_way_is_refused(tmp_path):
         kmh, unit = (3.6 * v, "km/h") if t < 300 else (v / 0.44704, "mph")
         return f"{t:.0f},{kmh:.2f},{unit},{u:.2f},{i:.2f}"
 
-    with pytest.raises(InputError, match="'speed unit': rows are in km/h and mph"):
+    with pytest.raises(InputError, match="'speed unit': the unit changes between km/h and mph"):
         opened(tmp_path, table("time,speed,speed unit,voltage,current", DRIVE, line))
 
 

@@ -19,10 +19,10 @@ def table(path):
 WRONG = [
     (log, "a.log", None, "No such file or directory"),
     (log, "a.log", b"", "the file is empty"),
-    (log, "a.log", b"this is a letter\n", "none of the formats"),
+    (log, "a.log", b"this is a letter\n", "is no line of a CAN log"),
     (log, "a.blf", b"LOGG", "broken after 0 frames"),
     (log, "a.asc", b"dear reader\n", "no CAN frame in it"),
-    (log, "a.csv", b"t_s,speed_mps\n0,1\n", "none of the formats"),
+    (log, "a.csv", b"t_s,speed_mps\n0,1\n", "is no line of a CAN log"),
     (log, "a.log.gz", b"not gzip", "broken after 0 frames"),
     (log, "a.txt", b"x", "not a CAN log"),
     (log, "a.gz", b"x", "not a CAN log"),
