@@ -111,11 +111,13 @@ class Column:
         """The assumption, and how to override it; empty without one."""
         if not self.could_be:
             return ""
-        option = f"--column '{self.quantity}={self.name}:{self.could_be[0]}'"
-        if self.could_be[0] == self.turned_unit:
+        turns = self.could_be[0] == self.turned_unit
+        sign = "-" if self.unit.startswith("-") and not turns else ""
+        option = f"--column '{self.quantity}={self.name}:{sign}{self.could_be[0]}'"
+        if turns:
             return f"{self.quantity}: the sign of {self.name!r} is assumed; {option} turns it"
         return (
-            f"{self.quantity}: {self.name!r} is assumed to be in {self.unit}, "
+            f"{self.quantity}: {self.name!r} is assumed to be in {self.unit.lstrip('-')}, "
             f"and could be in {' or '.join(self.could_be)}; {option} sets that"
         )
 

@@ -179,7 +179,8 @@ def test_the_size_counts_of_speeds_that_are_all_negative(tmp_path, header):
 
     source = opened(tmp_path, table(header, DRIVE, line))
     assert measured(source) == pytest.approx((DRIVE.distance, DRIVE.energy), rel=0.01)
-    assert "speed: all numbers are negative; so their sign is turned" in source.notes
+    assert "speed: all numbers are negative, so their sign is turned" in source.notes
+    assert "in -km/h" not in " ".join(source.notes) and "speed:mph" not in " ".join(source.notes)
 
 
 def test_a_car_may_reverse(tmp_path):

@@ -61,16 +61,18 @@ def test_accelerating_decides_the_sign_where_a_computed_voltage_says_otherwise(
     assert rule(turned, "current").factor == -sign
 
 
-def test_a_power_whose_unit_is_assumed_says_so(tmp_path):
+@pytest.mark.parametrize("sign", ["", "-"])
+def test_a_power_whose_unit_is_assumed_says_so(tmp_path, sign):
     """It said that the sign was assumed, and that `:w` turns it."""
 
     def line(t, v, u, i, *_):
-        return f"{t:.0f},{3.6 * v:.2f},{8e-3 * u * i:.2f}"
+        return f"{t:.0f},{3.6 * v:.2f},{float(f'{sign}1') * 8e-3 * u * i:.2f}"
 
     source = opened(tmp_path, table("time (s),speed (km/h),Battery Power", DRIVE, line))
     measured(source)
-    assumed = "'Battery Power' is assumed to be in kw, and could be in w; --column"
-    assert assumed in " ".join(source.notes) and "the sign" not in " ".join(source.notes)
+    notes = " ".join(source.notes)
+    assert "'Battery Power' is assumed to be in kw, and could be in w; --column" in notes
+    assert f"Battery Power:{sign}w' sets that" in notes and "the sign" not in notes
 
 
 @pytest.mark.parametrize("clock", ["ms_today", "Time (s)", "elapsed_ms"])
