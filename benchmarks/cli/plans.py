@@ -9,14 +9,14 @@ from benchmarks.cli import output
 from benchmarks.empty import EMPTY_COLUMNS, empty_scores
 from benchmarks.plans import CARS, PLAN_COLUMNS, plan_scores
 from evpinn_ros.cli.console import show
-from evpinn_ros.cli.options import MetricsOption
+from evpinn_ros.cli.options import JsonOption
 
 
 def plans(
     data: output.DataArgument,
     cars: Annotated[str, output.cars_option(CARS)] = "",
     jobs: output.JobsOption = 2,
-    metrics: MetricsOption = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Forecast recorded trips as plans of several resolutions, and score the forecasts.
 
@@ -31,7 +31,7 @@ def plans(
     rows: list[Any] = []
     roads: list[Any] = []
     with output.json_as_it_comes(
-        metrics, lambda: [asdict(row) for row in (*rows, *roads)], (data, *keys)
+        json_file, lambda: [asdict(row) for row in (*rows, *roads)], (data, *keys)
     ) as keep:
         for car_scores in output.in_parallel("plans of cars", jobs, plan_scores, tasks):
             rows += car_scores

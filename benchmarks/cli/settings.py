@@ -16,7 +16,7 @@ from typing import Annotated, Any, NamedTuple
 from benchmarks.cli import output
 from benchmarks.variants import SCORE_COLUMNS, ConstantPlace, Variant, VariantRow, read_car, score
 from evpinn_ros.cli.console import show
-from evpinn_ros.cli.options import MetricsOption
+from evpinn_ros.cli.options import JsonOption
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.common.plain_table import PlainTable
 from evpinn_ros.core.estimation.states import State
@@ -136,7 +136,7 @@ def settings(
     data: output.DataArgument,
     cars: Annotated[str, output.cars_option(CARS)] = "",
     jobs: output.JobsOption = 2,
-    metrics: MetricsOption = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Score each car with constants of the core chosen on the other cars.
 
@@ -153,7 +153,7 @@ def settings(
     finals: dict[str, dict[str, VariantRow]] = {key: {} for key in keys}
     chosen: dict[str, list[Variant]] = {}
     with output.json_as_it_comes(
-        metrics, lambda: _found(scores, chosen, finals), (data, *keys)
+        json_file, lambda: _found(scores, chosen, finals), (data, *keys)
     ) as keep:
         recorded = list(
             output.in_parallel("cars read", jobs, read_car, [(data, key) for key in keys])

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from evpinn_ros.cli.console import STDOUT, tables_beside
+from evpinn_ros.common.opener import LONGEST_LINE, note_own, open_file
 from evpinn_ros.common.optional import optional_imports
 from evpinn_ros.common.units import UnitSystem
 from evpinn_ros.logs.read_options import ReadOptions
@@ -40,6 +41,17 @@ def _check_json_file(context: typer.Context, path: Path | None) -> Path | None:
     tables_beside(path)
     context.call_on_close(partial(tables_beside, None))  # one process may run several commands
     return path
+
+
+def _check_table_file(context: typer.Context, path: Path | None) -> Path | None:
+    """`_check_json_file`, but a .csv with the metrics of an earlier run is overwritten."""
+    if path is not None and path.suffix == TABLE_SUFFIX and path.is_file():
+        with open_file(path) as file:
+            is_ours = METRICS_COLUMN in file.readline(LONGEST_LINE)
+        if is_ours:
+            note_own(path)
+            return path
+    return _check_json_file(context, path)
 
 
 def check_report(path: Path | None) -> Path | None:
@@ -104,13 +116,14 @@ JSON_SUFFIXES = (".json", ".jsonl")
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_check_json_file)
 ]
-TABLE_SUFFIX = ".csv"
+TABLE_SUFFIX, METRICS_COLUMN = ".csv", b"input.path"
 _METRICS_HELP = (
     f"{_JSON_HELP} A {TABLE_SUFFIX} file gets a table with one row per drive, and FILE_trends.csv "
     "the trends."
 )
 MetricsOption = Annotated[
-    Path | None, typer.Option("--metrics", "--json", help=_METRICS_HELP, callback=_check_json_file)
+    Path | None,
+    typer.Option("--metrics", "--json", help=_METRICS_HELP, callback=_check_table_file),
 ]
 ReportOption = Annotated[
     Path | None, typer.Option(help="Write this HTML report.", callback=check_report)

@@ -85,6 +85,14 @@ def test_json_is_a_file_or_stdout_and_never_an_input(path: str, tmp_path: Path) 
                 parameter.process_value(context, str(tmp_path / "drive.csv"))
 
 
+def test_a_table_of_metrics_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("input.path,totals.start\ndrive.csv,\n")
+    replay = COMMANDS["evpinn replay"]
+    (metrics,) = (parameter for parameter in replay.params if "--metrics" in parameter.opts)
+    context = replay.make_context("replay", ["drive.csv"])
+    assert metrics.process_value(context, str(tmp_path / "m.csv")) == tmp_path / "m.csv"
+
+
 @pytest.mark.parametrize("width", [80, 100])
 @pytest.mark.parametrize("path", COMMANDS)
 def test_no_help_is_wider_than_the_terminal(path: str, width: int) -> None:
