@@ -1,6 +1,7 @@
 """Heights by place from tiles of elevation, between their samples and over their edges."""
 
 import gzip
+import json
 import math
 import tempfile
 
@@ -10,6 +11,7 @@ import pytest
 from evpinn_ros.common.errors import InputError
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.readings import AltitudeReading
+from evpinn_ros.logs.plans import read_plan
 from evpinn_ros.logs.read_options import ReadOptions
 from evpinn_ros.logs.sources import open_drive
 from evpinn_ros.logs.terrain import Terrain
@@ -54,6 +56,20 @@ def heights_of_a_log(folder, rows, terrain, header="t_s,speed_mps,power_w,latitu
     (folder / "drive.csv").write_text("\n".join([header, *rows]) + "\n")
     log = open_drive(folder / "drive.csv", options=ReadOptions(terrain=terrain))
     return [r.altitude for r in log.readings() if isinstance(r, AltitudeReading)]
+
+
+def test_a_track_of_a_plan_lies_on_the_ground(tmp_path, tiles):
+    """Its heights alone were assumed to be unknown, without a word about the tiles."""
+    line = [[11.5, 48.2 + 1e-3 * i] for i in range(60)]
+    content = {"type": "LineString", "coordinates": line}
+    (tmp_path / "route.geojson").write_text(json.dumps(content))
+    options = ReadOptions(terrain=Terrain(tiles), pace=20.0)
+    legs = read_plan(tmp_path / "route.geojson", options=options)
+    assert legs.height_known.all()
+    assert legs.climb.sum() == pytest.approx(900.0 * 0.059, abs=1.5)  # smoothed, whole metres
+    (tmp_path / "legs.csv").write_text("length_km,speed_kmh\n1,72\n")
+    with pytest.warns(UserWarning, match="tiles of elevation are not used"):
+        read_plan(tmp_path / "legs.csv", options=options)
 
 
 def test_a_log_with_places_alone_gets_heights(tmp_path, tiles):

@@ -41,7 +41,7 @@ from evpinn_ros.core.vehicle.files import Vehicle, load_vehicle
 from evpinn_ros.logs.formats import TABLE_SUFFIXES, TEXT_SUFFIXES, suffix_of
 from evpinn_ros.logs.plans.route import KNOWN, legs_of_route
 from evpinn_ros.logs.plans.table import COLUMNS, table_plan, warn_of_unused
-from evpinn_ros.logs.plans.track import geojson_track, gpx_track, legs_of_track
+from evpinn_ros.logs.plans.track import GeoTrack, geojson_track, gpx_track, legs_of_track
 from evpinn_ros.logs.plans.way import plausible_heights
 from evpinn_ros.logs.read_options import READ_DEFAULTS, ReadOptions
 from evpinn_ros.logs.rows_to_blocks import BATTERY
@@ -105,17 +105,18 @@ def _plan(path: Path, vehicle: Vehicle, options: ReadOptions) -> Plan | Legs:
     is_json = suffix_of(path) == ".json"
     if begin == b"{" or (begin == b"[" and is_json):
         try:
-            return _json_plan(_whole(path, MOST_JSON), options.pace)
+            return _json_plan(_whole(path, MOST_JSON), options)
         except PlanError:
             if is_json:
                 with suppress(InputError):
                     return driven_plan(path, vehicle, options)
             raise
     if begin == b"<":
-        return legs_of_track(gpx_track(_whole(path, MOST_XML)), options.pace)
+        return _track_plan(gpx_track(_whole(path, MOST_XML)), options)
     if is_bag(path):
         return planned_in_bag(path, vehicle) or driven_plan(path, vehicle, options)
     if not options.columns and (plan := table_plan(path)) is not None:
+        _warn_of_terrain(options)
         return plan
     try:
         return driven_plan(path, vehicle, options)
@@ -140,7 +141,23 @@ def _whole(path: Path, most: int) -> bytes:
     return content
 
 
-def _json_plan(content: bytes, pace: float | None) -> Legs:
+def _track_plan(track: GeoTrack, options: ReadOptions) -> Legs:
+    """The legs of a track, with heights of the ground where tiles have any."""
+    if options.terrain is not None:
+        longitude, latitude, height = track.place.T
+        ground = options.terrain.heights(latitude, longitude)
+        height = np.where(np.isnan(ground), height, ground)
+        track = track._replace(place=np.column_stack((longitude, latitude, height)))
+    return legs_of_track(track, options.pace)
+
+
+def _warn_of_terrain(options: ReadOptions) -> None:
+    if options.terrain is not None:
+        text = "tiles of elevation are not used: of this kind of plan no positions are read"
+        warnings.warn(text, stacklevel=4)
+
+
+def _json_plan(content: bytes, options: ReadOptions) -> Legs:
     if sum(map(content.count, (b",", b"[", b"{"))) > MOST_VALUES:
         raise PlanError(f"more than {MOST_VALUES} values, which no plan needs")
     try:
@@ -148,10 +165,11 @@ def _json_plan(content: bytes, pace: float | None) -> Legs:
         if not isinstance(data, dict):
             raise PlanError(f"JSON of no known kind: {KNOWN}")
         if (legs := legs_of_route(data)) is not None:
+            _warn_of_terrain(options)
             return legs
         if "type" not in data:
             raise PlanError(f"unknown JSON: {KNOWN}")
-        return legs_of_track(geojson_track(data), pace)
+        return _track_plan(geojson_track(data), options)
     except KeyError as error:
         raise PlanError(f"its JSON lacks {error}") from error
     except json.JSONDecodeError as error:
