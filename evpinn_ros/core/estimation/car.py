@@ -209,8 +209,12 @@ class LearnedCar:
         """The car after an interval whose battery was measured."""
         equation, before = self.equation, self._after_dropout()
         terms = interval_terms(equation, interval, before.seconds)
+        way, planned = abs(interval.distance), terms.journey
+        if interval.steps.motor_known:  # no plan knows it
+            by_speed = replace(interval, steps=interval.steps.without_motor)
+            planned = interval_terms(equation, by_speed, before.seconds).journey
         rehearsals, bands = self.rehearsals.learn(
-            before, equation, terms.journey, abs(interval.distance), interval.energy
+            before, equation, terms.journey, planned, way, interval.energy
         )
         before = replace(before, bands=bands)
         state, learned = learn(before, equation, terms)

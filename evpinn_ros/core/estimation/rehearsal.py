@@ -52,9 +52,18 @@ class Rehearsals:
     dropouts: Mapping[float, Rehearsal] = field(default_factory=dict)
 
     def learn(
-        self, state: CarState, equation: Equation, journey: Journey, way: float, drawn: float
+        self,
+        state: CarState,
+        equation: Equation,
+        journey: Journey,
+        planned: Journey,
+        way: float,
+        drawn: float,
     ) -> tuple[Rehearsals, Bands]:
-        """Take a measured interval of `way` m and `drawn` J, with the car as it was before it."""
+        """Take a measured interval of `way` m and `drawn` J, with the car as it was before it.
+
+        `planned` is the journey as a plan knows it, without the torque of the motor.
+        """
         running, bands = {}, state.bands
         least_speed = np.fmin(LEAST_SPEED, LEAST_SPEED_SHARE * equation.vehicle.nominal_speed)
         for length in LENGTHS:
@@ -64,7 +73,7 @@ class Rehearsals:
             elif rehearsal.way >= least_speed * length:
                 energy, long = rehearsal.predicted(equation), length == max(LENGTHS)
                 bands = bands.after_dropout(energy, rehearsal.drawn, long=long)
-        return Rehearsals(self.drive.plus(journey, way, drawn), running), bands
+        return Rehearsals(self.drive.plus(planned, way, drawn), running), bands
 
     def end_drive(self, state: CarState, equation: Equation) -> CarState:
         """The state whose bands have the error of the drive that ends here, predicted whole.

@@ -67,6 +67,11 @@ class Steps(NamedTuple):
         """True if the energy of the motor is known all along."""
         return not np.isnan(self.motor_drive).any()
 
+    @property
+    def without_motor(self) -> Steps:
+        """The same motion, with the energy of the motor unknown."""
+        return Steps(self.duration, self.distance, self.air, self.kinetic, self.climb)
+
 
 @dataclass(frozen=True, slots=True)
 class Interval:

@@ -1,5 +1,6 @@
 """Bands hold what they claim: by numbers drawn, and on simulated drives with the battery off."""
 
+from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
 import math
@@ -97,6 +98,24 @@ def intervals_of(readings, vehicle: Vehicle) -> list[Interval]:
     stream = SampleStream(StreamSettings(), vehicle.air_density, vehicle.motor_ratio)
     intervals = (interval for _, interval in stream.add(in_order(Block.of(readings))).intervals)
     return [interval for interval in intervals if not math.isnan(interval.energy)]
+
+
+def test_a_drive_is_forecast_without_the_torque_that_no_plan_knows():
+    vehicle = load_vehicle("tesla_model_3_lr")
+    equation = equation_of(vehicle)
+    drive = simulate(
+        DriveKind.URBAN, vehicle, 300.0, 4, motor_torque=True, can_profile=PROFILE
+    ).readings
+    known = intervals_of(drive, vehicle)
+    assert all(interval.steps.motor_known for interval in known)
+    unknown = [replace(interval, steps=interval.steps.without_motor) for interval in known]
+    off = []
+    for second in (known, unknown):
+        car = LearnedCar.new(equation).after(known).begin_drive().after(second)
+        record = car.judged().bands.record
+        assert record.drives == 1.0
+        off.append((record.learned, record.file))
+    assert off[0] == pytest.approx(off[1])
 
 
 def errors(equation: Equation, states: list[LearnedCar], drive: list[Interval], count: int):
