@@ -116,10 +116,16 @@ def _drive_lines(drive: DataCoverage, begin_ns: int, units: Units) -> Iterator[s
     charge = "" if math.isnan(first) else f"; state of charge {first:.1%} to {last:.1%}"
     yield f"  distance: {drive.distance / units.metres:.2f} {units.distance}{voltage}{charge}"
     yield f"  estimator: {drive.verdict}"
-    for first, last in _relative(drive.spans[:MOST_SPANS], begin_ns):
+    for first, last in _relative(drive.spans[:MOST_SPANS], _origin(drive, begin_ns)):
         yield f"    {first:.1f} s to {last:.1f} s"
     if len(drive.spans) > MOST_SPANS:
         yield f"    and {len(drive.spans) - MOST_SPANS} more"
+
+
+def _origin(drive: DataCoverage, begin_ns: int) -> int:
+    """Stamp of 0 s: the start of the recording, or of its readings if their clock is behind."""
+    starts = [first for flow in drive.flows.values() for first, _ in flow.runs]
+    return min(starts) if starts and min(starts) < begin_ns else begin_ns
 
 
 def _relative(spans: tuple[Span, ...], begin_ns: int) -> Iterator[tuple[float, float]]:
@@ -169,7 +175,7 @@ def _as_json(recording: Contents) -> dict[str, Any]:
             "verdict": drive.verdict,
             "seconds": drive.seconds,
             "moving_s": drive.moving,
-            "spans_s": list(_relative(drive.spans, begin)),
+            "spans_s": list(_relative(drive.spans, _origin(drive, begin))),
         },
         "dropped": dict(recording.dropped or {}),
         "notes": list(recording.notes),
