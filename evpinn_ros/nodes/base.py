@@ -308,16 +308,19 @@ class GuardedNode(LifecycleNodeMixin, ABC, Node):
 
     def why_silent(self, *either: Topic) -> str:
         """The publishers of these inputs, and why their messages are not used."""
-        reasons = []
+        reasons: list[str] = []
         for topic, name in self._inputs.items():
             if topic not in either or not (publishers := self.count_publishers(name)):
                 continue
+            known = len(reasons) + 1
             reasons.append(f"{publishers} publisher{'s' * (publishers > 1)} of {topic.name}")
             types = {info.topic_type for info in self.get_publishers_info_by_topic(name)}
             reasons += (f"of type {other}" for other in sorted(types - {topic.type_name}))
             if policy := self._mismatched.get(topic):
                 reasons.append(f"incompatible QoS ({policy})")
             reasons += sorted(self._refused.get(topic.name, ()))
+            if len(reasons) == known:
+                reasons.append("no message")
         return ", ".join(reasons) or "nobody publishes it"
 
     def stream(self, topic: Topic) -> Topic:
