@@ -3,7 +3,6 @@
 import os
 from pathlib import Path
 import shutil
-import sys
 
 import pytest
 
@@ -26,10 +25,8 @@ def test_it_runs(path, tmp_path, monkeypatch):
     installed = tmp_path / "installed"  # the package alone, as pip installs it
     installed.mkdir()
     (installed / "evpinn_ros").symlink_to(ROOT / "evpinn_ros")
-    script = tmp_path / "evpinn"
-    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m evpinn_ros "$@"\n')
-    script.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    # As where Jupyter was started without activating the environment: no `evpinn` is on the PATH.
+    monkeypatch.setenv("PATH", os.defpath)
     monkeypatch.setenv("PYTHONPATH", str(installed))
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     book = nbformat.read(path, as_version=4)

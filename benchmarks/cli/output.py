@@ -35,7 +35,7 @@ def chosen_cars(data: str, wanted: str, default: Sequence[str]) -> list[str]:
     """The cars in `wanted`, joined by commas, else those of `default` that `data` has."""
     if wanted:
         return names_in(wanted)
-    present = cars_in(data)
+    present = cars_in(data, recorded=True)
     return [key for key in default if key in present]
 
 

@@ -27,6 +27,7 @@ from benchmarks.unseen.table import (
     energy_table,
     score_table,
     truth_table,
+    unscored,
 )
 from benchmarks.unseen.truth import KINDS
 from evpinn_ros.cli.console import note, progress_bar, say, show
@@ -38,7 +39,8 @@ def unseen(
     data: Annotated[
         str,
         typer.Argument(
-            metavar="DATA", help="Folder of cars, or PATH=VEHICLE for drives of one car."
+            metavar="DATA",
+            help="PATH=VEHICLE: your recordings of one car; or the folder of this project's cars.",
         ),
     ],
     cars: Annotated[str, typer.Option(help="Only these cars, joined by commas.")] = "",
@@ -68,7 +70,7 @@ def unseen(
     for name in names:
         find_method(name)
     one_car = "=" in data
-    present = [*cars_in(data), *(() if one_car else KINDS)]
+    present = [*cars_in(data, recorded=not cars), *(() if one_car else KINDS)]
     if not (one_car or sumo_is_there()):
         note("evpinn: eclipse-sumo and libsumo are not installed: cars by SUMO are left out")
     if not one_car and fastsim_version() is None:
@@ -122,6 +124,8 @@ def _show(car: str, entry: dict[str, Any], names: Sequence[str]) -> None:
     if "carried" in next(iter(methods.values())):
         for table in (score_table, energy_table, age_table):
             show(table(methods), at_least=TABLE_WIDTH)
+        for line in unscored(methods):
+            say(line)
     if "truth" in next(iter(methods.values())):
         show(truth_table(methods), at_least=TABLE_WIDTH)
 

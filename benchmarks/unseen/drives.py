@@ -171,19 +171,27 @@ def inputs_of(names: Iterable[str]) -> Iterator[Path]:
             yield from root.rglob("*")
 
 
-def cars_in(data: str) -> list[str]:
+def cars_in(data: str, *, recorded: bool = False) -> list[str]:
     """Names of the cars whose drives are in a folder, and of simulated cars.
 
     PATH=VEHICLE is a car itself. Cars by SUMO and FASTSim are included if these are installed.
+
+    Raises:
+        InputError: there is no such folder, or `recorded` and no recorded car in it.
     """
     root = Path(data)
     if not root.exists() and "=" in data:
         return [data]
     if not root.is_dir():
         raise InputError(f"{data}: no such folder")
-    recorded = [key for key, folder in FOLDERS.items() if any(root.glob(folder.pattern))]
+    keys = [key for key, folder in FOLDERS.items() if any(root.glob(folder.pattern))]
+    if recorded and not keys:
+        raise InputError(
+            f"{data}: has none of {', '.join(folder.pattern for folder in FOLDERS.values())}; "
+            "recordings of your own are PATH=VEHICLE"
+        )
     by_sumo = SUMO_CARS if sumo_is_there() else ()
-    return [*recorded, SIMULATED, *by_sumo, *(FASTSIM_CARS if fastsim_is_there(root) else ())]
+    return [*keys, SIMULATED, *by_sumo, *(FASTSIM_CARS if fastsim_is_there(root) else ())]
 
 
 def load_car(data: str, key: str) -> UnseenCar:

@@ -21,6 +21,7 @@ from evpinn_ros.common.errors import InputError, known_names, near_names
 from evpinn_ros.common.opener import check_file
 
 CORE, WEAK_LS = "core", "weak_ls"
+INTERFACE = ("add_reading", "begin_next_drive", "combinations")
 METHODS: Mapping[str, Factory] = {**BASELINES, CORE: OnlineChain}
 
 
@@ -62,6 +63,9 @@ def find_method(name: str) -> Factory:
     if not hasattr(module, attribute):
         raise InputError(f"{path}: holds no '{attribute}'{near_names(attribute, vars(module))}")
     method: Factory = getattr(module, attribute)
+    missing = [n for n in INTERFACE if isinstance(method, type) and not hasattr(method, n)]
+    if missing:
+        raise InputError(f"{path}: {attribute} has no {', '.join(missing)} (CONTRIBUTING.md)")
     return method
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
+from benchmarks.unseen.scores import LEAST_COVERED
 from evpinn_ros.common.plain_table import PlainTable
 
 ENERGY_COLUMNS = (
@@ -35,7 +36,7 @@ log           log of the density at the measured energy; larger is better
 in 90 %       share of the 90 % intervals that contain the energy; width: their median
 RMSE W        of power: every sample, or means over 1, 10 and 60 s
 W, %          RMSE of power, error of energy, by the age of the last battery reading
--             no drive is long enough, or the method gives no 1-sigma
+-             no drive is long enough, or the method gives no 1-sigma or too few predictions
 """
 
 
@@ -80,6 +81,18 @@ def age_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:
         )
         table.add_row(name, *cells)
     return table
+
+
+def unscored(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """A line for each method that predicted too little of some drives or dropouts."""
+    for name, scores in methods.items():
+        counts = (
+            f"{len(few)} of {len(parts)} {what}"
+            for what, parts in (("drives", scores["drives"]), ("dropouts", scores["cuts"]))
+            if (few := [p for p in parts if p["gross_j"] and p["covered"] < LEAST_COVERED])
+        )
+        if text := " and ".join(counts):
+            yield f"{name}: predicted less than {100 * LEAST_COVERED:.0f} % of {text}"
 
 
 def truth_table(methods: Mapping[str, Mapping[str, Any]]) -> PlainTable:

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.cli import unseen as command
 from benchmarks.unseen import run
+from evpinn_ros.common.errors import InputError
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "methods" / "least_squares.py"
@@ -107,3 +108,27 @@ def test_the_example_of_a_method_beats_the_prior():
     assert told == sorted(told) and told[-1] == len(tasks) < len(told)
     for part in ("carried", "withheld"):
         assert mine[part]["gross_mean_percent"] < prior[part]["gross_mean_percent"] / 2
+
+
+@pytest.mark.parametrize(
+    ("power", "is_named"), [(None, True), ("float('nan')", True), ("1e4", False)]
+)
+def test_a_method_that_predicts_nothing_is_named(tmp_path, capsys, power, is_named):
+    rows = (f"{t / 10},{15 + t % 7 / 10},360,{55 + t % 2}\n" for t in range(4000))
+    (tmp_path / "drive.csv").write_text("t_s,speed_mps,voltage_v,current_a\n" + "".join(rows))
+    prediction = f"yield Prediction(reading.stamp_ns, {power})" if power else "return None"
+    source = MINE.replace("yield Prediction(reading.stamp_ns, 1e4)", prediction)
+    (tmp_path / "mine.py").write_text(source)
+    mine = f"{tmp_path / 'mine.py'}:Flat"
+    command.unseen(f"{tmp_path / 'drive.csv'}=generic", methods="", method=[mine])
+    few = "mine.py:Flat: predicted less than 90 % of 1 of 1 drives and 1 of 1 dropouts"
+    assert (few in capsys.readouterr().out) is is_named
+
+
+def test_what_a_method_lacks_and_a_folder_of_ones_own_are_refused_at_once(tmp_path):
+    (tmp_path / "drive.csv").write_text("t_s,speed_mps\n")
+    (tmp_path / "mine.py").write_text("class Mine:\n    def add_reading(self, reading): ...\n")
+    with pytest.raises(InputError, match="Mine has no begin_next_drive, combinations"):
+        run.find_method(f"{tmp_path / 'mine.py'}:Mine")
+    with pytest.raises(InputError, match="recordings of your own are PATH=VEHICLE"):
+        command.unseen(str(tmp_path), methods="prior")
