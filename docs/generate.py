@@ -13,6 +13,7 @@ import inspect
 from itertools import chain, groupby
 import math
 from pathlib import Path
+import re
 import sys
 from textwrap import wrap
 from types import NoneType, UnionType
@@ -113,7 +114,7 @@ VEHICLES = """\
 
 What is known about each car before it drives (its *priors*): value and 1-sigma. `evpinn vehicles`
 lists all cars with a battery and consumption, and `evpinn vehicles show NAME` prints one as a
-file, with the source of every number. For another car, copy the most similar file from
+file, with the source of every prior. For another car, copy the most similar file from
 `config/vehicles/`, change what you know better, check it with `evpinn check-params`, and give its
 path to `--vehicle`. [Certified](#certified-cars) and [rated](#rated-cars) cars need no file.
 `mode: paper` and `evpinn reproduce` begin elsewhere where a file has `paper_start`.
@@ -366,8 +367,16 @@ def _api_section(name: str) -> Iterator[str]:
             for key, member in vars(value).items()
             if key[0] != "_" and key not in getattr(value, "_fields", ())
         }
-        lines = [f"- `{call}`: {sentence}" for call, sentence in sentences.items() if sentence]
+        told = {call: sentence for call, sentence in sentences.items() if sentence}
+        lines = [f"- `{call}`: {text}" for call, text in (_attributes(value) | told).items()]
         yield from [*lines, ""] if lines else []
+
+
+def _attributes(value: Any) -> dict[str, str]:
+    """What the docstring of a class says of its attributes."""
+    section = (inspect.getdoc(value) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    entries = re.findall(r"^    (\w+): ((?:.*\n?)(?: {8}.*\n?)*)", section, re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in entries}
 
 
 class _Annotation(str):

@@ -174,7 +174,7 @@ class Estimator:
 
     @property
     def model(self) -> PowerModel:
-        """The car as known now, for `evpinn_ros.forecast`."""
+        """The car as known now, for `core.energy.forecast`; `ev.forecast` takes the estimator."""
         estimator = self._chain.estimator
         return known_model(estimator.model(), estimator.parameters(), self.vehicle)
 

@@ -354,8 +354,8 @@ class EdgeEnergies:
     """Energies of the edges of a road network, and of routes over them.
 
     Attributes:
-        table: one row for each edge, with the index of the edges that were given: `energy_j`, J,
-            negative where the edge returns energy, and its 1-sigma `sigma_j`, J.
+        table: a row for each edge, by its index: `energy_j`, J, negative if the edge returns
+            energy, and its 1-sigma, `sigma_j`.
     """
 
     def __init__(self, index: pd.Index, edges: energy_edges.Edges) -> None:

@@ -41,11 +41,11 @@ class Result:
     later. Power and energy are positive when drawn from the battery. Unknown values are NaN.
 
     Attributes:
-        replayed: the series and scores from which the tables below are made.
+        replayed: what the tables are made from.
         vehicle: the vehicle of the drive.
-        options: the options of the replay.
-        car: the learned car at the end of the drive; None in mode paper.
-        rested: the learned car as it starts its next drive; None in mode paper.
+        options: of the replay.
+        car: the learned car at the end; None in mode paper.
+        rested: the same as it starts its next drive.
         account: energy counted until the end, with what is known about the battery.
     """
 
@@ -149,7 +149,7 @@ class Result:
 
     @property
     def model(self) -> PowerModel:
-        """The learned car at the end of the drive, for `evpinn_ros.forecast`."""
+        """The learned car, for `core.energy.forecast`; `ev.forecast` takes the result."""
         return known_model(self.car, self.replayed.drive.final, self.vehicle)
 
     @property

@@ -43,7 +43,7 @@ def meter_status(account: EnergyAccount, condition: Condition) -> Status:
 def energy_phases(account: EnergyAccount, basis: Basis, condition: Condition) -> list[Status]:
     """Texts that are logged when they change, so they contain no counts."""
     meter = Status("meter", *_meter_verdict(account, condition), {})
-    return [meter, Status("plan", Level.OK, f"forecasts rest on the {basis.value}", {})]
+    return [meter, Status("plan", Level.OK, f"forecasts use the {basis.value}", {})]
 
 
 def _meter_verdict(account: EnergyAccount, condition: Condition) -> tuple[Level, str]:
@@ -124,7 +124,7 @@ def plan_status(plans: PlanLog, basis: Basis, air: Air) -> Status:
     if plans.problem is not None:  # the planner has the reason; the car has no fault
         values["last_refusal"] = plans.problem
     if basis is Basis.VEHICLE_FILE:
-        text = "forecasts rest on the vehicle file: no estimate/model or estimate/identifiable yet"
+        text = "forecasts use the vehicle file: no estimate/model or estimate/identifiable yet"
         return Status("plan", Level.OK, text, values)
     return Status("plan", Level.OK, "ready", values)
 

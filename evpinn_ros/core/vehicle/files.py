@@ -78,21 +78,19 @@ class Vehicle:
     Attributes:
         key: short name, the file's stem.
         name: name for people.
-        can_profile: for its bus: a name in `config/can/`, the path of a file, or None.
+        can_profile: name in `config/can/`, path of a file, or None.
         frontal_area: m^2.
         air_density: kg/m^3, used while no temperature is known.
         beta: deceleration threshold of regeneration, m/s^2 (eq. 20).
         nominal_voltage: V, used when a log holds power alone.
-        rotating_mass_factor: effective over static mass when accelerating (wheels, rotor).
+        rotating_mass_factor: effective over static mass (wheels, rotor).
         battery_capacity: usable energy, J, NaN if unknown.
-        motor_ratio: rad that the motor turns per m of road, NaN if unknown; used where a bus
-            reports the motor's torque without its speed.
+        motor_ratio: rad of the motor per m of road, NaN if unknown.
         priors: one `Prior` for each of `PARAMETER_NAMES`.
         nominal_speed: m/s, assumed on a path without times; NaN if unknown.
         relative_size: mass over that of a passenger car (`similar_car`).
-        correlations: of priors, by pairs of names in the order of `PARAMETER_NAMES`; pairs that
-            are missing have 0.
-        paper_start: priors of the EV-PINN paper (eq. 24, 25); if empty, it starts from `priors`.
+        correlations: of priors, by pairs of names; missing pairs have 0.
+        paper_start: priors of the EV-PINN paper (eq. 24, 25); empty: those of `priors`.
     """
 
     key: str
