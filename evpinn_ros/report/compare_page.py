@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from evpinn_ros.report.shapes import Curve, IntervalRow, curve, interval_rows
 
 SURE = 2.0  # sigmas beyond which a part explains a difference
 WORTH_NAMING = 0.1  # of the difference; smaller parts against it, or unknown, are not named
+GREY = 8  # colour of no part, in page.css
 Rows = list[tuple[str, ...]]
 
 
@@ -100,7 +101,6 @@ def _explained(difference: Breakdown, units: Units) -> str:
     """Sentences on parts that explain a difference, those against it, and those not known."""
     total = difference.total().kwh
     parts = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
-    parts.append((MEANINGS[UNEXPLAINED], difference.amounts()[UNEXPLAINED]))
     parts = [part for part in parts if _is_shown(part[1], units)]
     parts.sort(key=lambda part: -abs(part[1].kwh))
     sure = [part for part in parts if abs(part[1].kwh) > SURE * part[1].sigma_kwh > 0.0]
@@ -117,12 +117,13 @@ def _explained(difference: Breakdown, units: Units) -> str:
 
     sign = 1.0 if total > 0.0 else -1.0
     explained, against = named(sign, 0.0), named(-sign, least)
+    rest = difference.amounts()[UNEXPLAINED]
+    known_rest = abs(rest.kwh) > max(least, SURE * rest.sigma_kwh)
+    rest_text = rate_text(rest, difference.distance, True, units)
     open_parts = [
         name
         for name, amount in parts
-        if (name, amount) not in sure
-        and name != MEANINGS[UNEXPLAINED]
-        and max(abs(amount.kwh), amount.sigma_kwh) > least
+        if (name, amount) not in sure and max(abs(amount.kwh), amount.sigma_kwh) > least
     ]
     sentences = [
         f"Explained by {listed(explained)}."
@@ -130,6 +131,7 @@ def _explained(difference: Breakdown, units: Units) -> str:
         else "No part explains it beyond 2 sigma: these drives do not show why.",
         f"Against that: {listed(against)}." if against else "",
         f"Not known well enough: {', '.join(open_parts)}." if open_parts else "",
+        f"The model of the car leaves {rest_text} unexplained." if known_rest else "",
     ]
     return " ".join(filter(None, sentences))
 
@@ -186,11 +188,19 @@ def write_comparison(
     )
 
 
+def _amounts(
+    breakdown: Breakdown, groups: Iterable[Sequence[Part]]
+) -> list[tuple[int, str, Amount]]:
+    """Colour, name and amount of each part, and of the energy that no part explains."""
+    parts = [(int(group[0]), name_of(group), breakdown.of(*group)) for group in groups]
+    return [*parts, (GREY, MEANINGS[UNEXPLAINED], breakdown.amounts()[UNEXPLAINED])]
+
+
 def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> list[dict[str, Any]]:
     groups = common_groups(parts)
-    sizes = [[breakdown.of(*group) for group in groups] for breakdown in parts]
+    sizes = [_amounts(breakdown, groups) for breakdown in parts]
     longest = max(
-        sum(max(amount.kwh, 0.0) for amount in amounts) / breakdown.distance
+        sum(max(amount.kwh, 0.0) for *_, amount in amounts) / breakdown.distance
         for breakdown, amounts in zip(parts, sizes, strict=True)
     )
     return [
@@ -198,12 +208,11 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> lis
             "name": name,
             "boxes": [
                 {
-                    "colour": int(group[0]),
+                    "colour": colour,
                     "width": round(100.0 * amount.kwh / breakdown.distance / longest, 2),
-                    "words": f"{name_of(group)} "
-                    f"{rate_text(amount, breakdown.distance, units=units)}",
+                    "words": f"{part} {rate_text(amount, breakdown.distance, units=units)}",
                 }
-                for group, amount in zip(groups, amounts, strict=True)
+                for colour, part, amount in amounts
                 if amount.kwh > 0.0
             ],
         }
@@ -212,7 +221,7 @@ def _bars(names: Sequence[str], parts: Sequence[Breakdown], units: Units) -> lis
 
 
 def _whiskers(difference: Breakdown, units: Units) -> list[dict[str, Any]]:
-    rows = [(name_of(group), difference.of(*group)) for group in common_groups([difference])]
+    rows = [row[1:] for row in _amounts(difference, common_groups([difference]))]
     rows = [row for row in rows if row[1].kwh or row[1].sigma_kwh]
     rows.sort(key=lambda row: -abs(row[1].kwh))
     return interval_rows(
