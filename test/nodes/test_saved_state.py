@@ -168,5 +168,5 @@ def test_what_is_no_file_stays_where_it_is(tmp_path, make):
     state_file = StateFile(path, Counter(), Half.LEARNED)
     state_file.restore()
     assert str(path) in state_file.problem and "kept" not in state_file.problem
-    assert "not a file" in state_file.save()
+    assert "not a regular file" in state_file.save()
     assert [path.name for path in tmp_path.iterdir()] == ["car.json"]

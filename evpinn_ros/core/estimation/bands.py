@@ -20,22 +20,25 @@ GROWTHS = np.array([0.0004, 0.004, 0.04])  # m^2 of unseen height per m: flat, h
 HILLS_KEPT = 0.98  # share of their evidence that one rehearsal passes to the next
 MOST_DEVIATE = 4.0  # sigmas; one odd road counts no more
 MOST_DEVIATE_HILLS = 3.0  # the same, when hills are judged
-# Errors of 1 sigma assumed before any: cars differ, so an error is of Student's t. Its variance is
-# `scale`. Of seven cars 3 to 8 give the same CRPS of whole drives to 1 %.
+# Prior cases of 1 sigma, the degrees of freedom of a Student's t of errors, because cars differ;
+# its variance is `scale`. On seven cars 3 to 8 give the same CRPS of whole drives to 1 %.
 DEGREES = 6.0
-CASES_KEPT = 40.0  # remembered
+CASES_KEPT = 40.0  # newest cases that count
 LEAST_HEIGHTS_METRES = 10e3  # m of known heights from which on `Hills` counts
-HILLS_MEMORY_METRES = 300e3  # m of road over which earlier road is forgotten to a third
+HILLS_MEMORY_METRES = 300e3  # m of road over which earlier road is forgotten to 1/e
 KEPT = 1.0 - 1.0 / CASES_KEPT  # share of the sums of `TrackRecord` kept from drive to drive
 MOST_SUM = 1e15  # of squares and products over a car's life
 MOST_COUNTED = 999  # drives; the sum of `KEPT` determines no larger number
 
 
 class PredictedEnergy(NamedTuple):
-    """Energy of a journey, J, and its variance without that of unseen hills, J^2.
+    """Energy of a journey.
 
-    `hills`, J^2 per m, times the variance of height per length of road is that of unseen hills:
-    the square of weight over eta, times the length of road without height.
+    Attributes:
+        mean: J.
+        variance: without unseen hills, J^2.
+        hills: variance of unseen hills over `Bands.growth`, J^2/m: the length of road without
+            heights, times the square of weight over eta.
     """
 
     mean: float
@@ -43,12 +46,12 @@ class PredictedEnergy(NamedTuple):
     hills: float
 
     def with_hills(self, growth: Any) -> Any:
-        """Variance with unseen hills of this size, m^2 per m, J^2."""
+        """Variance with unseen hills, J^2; growth: variance of height per length of road, m."""
         return self.variance + growth * self.hills
 
 
 class Spread(NamedTuple):
-    """Errors in sigmas: cases seen, and the sum of their squares."""
+    """Errors in sigmas: number of cases, and sum of squares."""
 
     cases: Annotated[float, Range(0.0, CASES_KEPT)] = 0.0
     squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
@@ -64,7 +67,7 @@ class Spread(NamedTuple):
         return (DEGREES - 2.0 + self.squares) / (DEGREES - 2.0 + self.cases)
 
     def after(self, deviate: float) -> Spread:
-        """With one more case, this many sigmas off."""
+        """The spread with one more error, in sigmas."""
         keep = min(1.0, (CASES_KEPT - 1.0) / max(self.cases, 1.0))
         square = min(abs(deviate), MOST_DEVIATE) ** 2
         return Spread(keep * self.cases + 1.0, keep * self.squares + square)
@@ -133,7 +136,7 @@ class Bands:
         return float(odds @ GROWTHS / odds.sum())
 
     def after_drive(self, energy: PredictedEnergy, file: float, drawn: float) -> Bands:
-        """With one more drive that drew so many J, predicted whole; `file`: by that, J."""
+        """The bands after a drive that drew `drawn`, J; file: predicted by the vehicle file, J."""
         sigma = math.sqrt(energy.with_hills(self.growth))
         return replace(
             self,
@@ -158,13 +161,13 @@ class Bands:
 
 @dataclass(frozen=True, slots=True)
 class Hills:
-    """Climbs of the parts of drives whose heights were known.
+    """Net climbs of drives, over their road with known heights.
 
     Attributes:
-        squares: of the climb of each earlier drive from start to end, m^2.
-        metres: of their length, m.
-        way: m of this drive.
-        climb: m of this drive, up less down.
+        squares: sum of squared net climbs of earlier drives, m^2.
+        metres: sum of their lengths, m.
+        way: length of this drive, m.
+        climb: net climb of this drive, m.
     """
 
     squares: Annotated[float, Range(0.0, MOST_SUM)] = 0.0
@@ -178,11 +181,11 @@ class Hills:
         return self.squares / self.metres if self.metres >= LEAST_HEIGHTS_METRES else 0.0
 
     def plus(self, way: float, climb: float) -> Hills:
-        """With more of this drive, m, whose height was known."""
+        """The value after more road with known heights, m, and its net climb, m."""
         return replace(self, way=self.way + way, climb=self.climb + climb)
 
     def next_drive(self) -> Hills:
-        """At the start of another drive."""
+        """The value at the start of another drive."""
         kept = math.exp(-self.way / HILLS_MEMORY_METRES)
         squares, metres = kept * self.squares + self.climb**2, kept * self.metres + self.way
         return Hills(min(squares, MOST_SUM), min(metres, MOST_SUM))

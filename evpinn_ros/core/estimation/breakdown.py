@@ -32,20 +32,20 @@ from evpinn_ros.core.signals.interval import Interval
 from evpinn_ros.core.vehicle.physics import GRAVITY
 
 UNEXPLAINED, REGAINED = "unexplained", "regained"
-OWN = [*OFFSETS, State.WANDERED, State.LOAD_ENERGY]
-OWN += [State.CLIMBED, State.CLIMB]  # states of a single drive
+# States of a single drive.
+OF_DRIVE = [*OFFSETS, State.WANDERED, State.LOAD_ENERGY, State.CLIMBED, State.CLIMB]
 # A measured height strays: wind and doors move a barometer by half a metre for a minute. In a
 # whole drive this counts at both ends.
 HEIGHT_STRAYS = 0.5  # m, 1-sigma
 DIFFERENCE_METRES = 1e5  # m to which differences of drives refer
 EDGE_SPEED = 0.15  # m/s, 1-sigma of the speed at both ends of the counted intervals
 STRAYED_HILL = np.eye(COUNT)[Part.SLOPE] - np.eye(COUNT)[Part.TYRES]
-# Wind, and a rolling resistance that grows with speed, make air and tyres look like each other,
-# and a load that is on while the car drives looks like tyres: share of the air's and of the
-# standing energy, 1-sigma. By likelihood of 60 simulated drives that no benchmark scores.
+# 1-sigma of energy that looks like tyres, as a share of the air's and of the standing energy: by
+# wind and rolling resistance that grows with speed, and by loads that are on while the car drives.
+# By likelihood of 60 simulated drives that no benchmark scores.
 AS_TYRES = 0.05
-# Share of the regained energy, 1-sigma: lost in the brakes instead, and less in the drivetrain,
-# because the sum is known. A step of half a second may hold driving and braking. Without torque,
+# 1-sigma of regained energy that was lost in the brakes, and not in the drivetrain, because the
+# sum is known; as a share. A step of half a second may hold driving and braking. Without torque,
 # the share of the brakes differs from drive to drive: by the likelihood of 24 recorded drives of
 # an i3 and a Leaf, each learned alone, against all of that car (`evpinn bench breakdown --alone`).
 NOT_REGAINED, NOT_REGAINED_UNSEEN = 0.015, 0.08
@@ -58,8 +58,8 @@ NET_CLIMB, HILL, STEEP = 122.0, 1000.0, 0.05
 CLIMB_AS_BRAKES, CLIMB_AS_STANDING = 0.43, 0.04  # of the climb
 CLIMB_AS_FRICTION, MOST_AS_FRICTION = 1.4e-5, 0.5  # tyres and air, by the distance in m; at most
 MOSTLY_UNSEEN = 0.5  # share of the way without heights from which on a note says so
-# Between drives, efficiency changes by this much for each e-fold of power; a constant efficiency
-# counts that as air, the part that grows with speed most.
+# Between drives, efficiency changes by this share for each e-fold of power; a constant efficiency
+# counts the change as air, the part that grows most with speed.
 MAP_SHARE, MAP_ERROR = 0.03, np.eye(COUNT)[Part.AIR] - np.eye(COUNT)[Part.DRIVETRAIN]
 TOGETHER = 0.5  # sigma of a sum over that of its less sure part, below which parts are joined
 _TERMS = [LASTING.index(state) for state in PHYSICS]  # columns of `EndedDrive.rows`
@@ -118,7 +118,7 @@ class Breakdown(Totals):
     covariance: np.ndarray
 
     def amounts(self) -> dict[str, Amount]:
-        """The parts, the unexplained rest, and beside them the energy that braking returned."""
+        """The parts and the unexplained rest, which add up, and the energy regained by braking."""
         amounts = {part.name.lower(): self.of(part) for part in list(Part)[WHOLE]}
         explained = float(self.energy[WHOLE].sum())
         unsure = float(self.covariance[WHOLE, WHOLE].sum()) + self.measured_variance + self.noise
@@ -136,7 +136,7 @@ class Breakdown(Totals):
         return self._amount(self.measured, self.measured_variance)
 
     def together(self) -> list[tuple[Part, ...]]:
-        """Groups of parts that the data do not separate: their sum is much surer."""
+        """Groups of parts that the data do not separate: their sum has a much smaller sigma."""
         scale = KNOWN_SHARE * float(np.abs(self.energy[WHOLE]).sum())
         groups: list[tuple[Part, ...]] = [(part,) for part in list(Part)[WHOLE]]
         while True:
@@ -158,12 +158,12 @@ class Breakdown(Totals):
         return math.sqrt(max(0.0, self._variance(group)))
 
     def _amount(self, energy: float, variance: float) -> Amount:
-        known = self.distance >= CONSUMPTION_METRES
+        has_consumption = self.distance >= CONSUMPTION_METRES
         kwh = energy / JOULES_PER_KWH
         return Amount(
             kwh=kwh,
             sigma_kwh=math.sqrt(max(0.0, variance)) / JOULES_PER_KWH,
-            kwh_per_100km=kwh / self.distance * DIFFERENCE_METRES if known else None,
+            kwh_per_100km=kwh / self.distance * DIFFERENCE_METRES if has_consumption else None,
             share=energy / self.measured if self.measured > 0.0 else None,
         )
 
@@ -175,7 +175,7 @@ class Breakdowns:
     Attributes:
         energy: of each part of each drive, J, shape (D, COUNT).
         covariance: of these, J^2, shape (D, COUNT, D, COUNT).
-        drives: what they are of.
+        drives: totals of each drive.
     """
 
     energy: np.ndarray
@@ -183,12 +183,12 @@ class Breakdowns:
     drives: tuple[Totals, ...]
 
     def of(self, drive: int) -> Breakdown | None:
-        """Breakdown of one drive, None of no interval."""
-        whole = self.drives[drive]
-        if whole.seconds == 0.0:
+        """Breakdown of one drive; None if it has no interval."""
+        totals = self.drives[drive]
+        if totals.seconds == 0.0:
             return None
-        own = self.covariance[drive, :, drive]
-        return Breakdown(*astuple(whole), energy=self.energy[drive], covariance=own)
+        covariance = self.covariance[drive, :, drive]
+        return Breakdown(*astuple(totals), energy=self.energy[drive], covariance=covariance)
 
     def possible(self) -> Breakdowns:
         """The likeliest energies without a negative loss; the covariance stays."""
@@ -226,10 +226,10 @@ class Breakdowns:
         )
 
     def joined(self, owners: Sequence[int]) -> Breakdowns:
-        """Breakdowns of which some belong together, as those before and after a long stop.
+        """Breakdowns summed by owner, such as those before and after a long stop of a drive.
 
         Args:
-            owners: number of the whole that each belongs to; all from 0 on.
+            owners: number of the sum that each drive is part of, from 0 on without gaps.
         """
         which = (np.arange(max(owners) + 1)[:, None] == np.array(owners)).astype(float)
         covariance = np.einsum("ad,dier,be->aibr", which, self.covariance, which)
@@ -239,7 +239,7 @@ class Breakdowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveParts:
-    """The parts of a drive that goes on: by part and state, J per unit, shape (COUNT, SIZE)."""
+    """The parts of a drive in progress, by part and state, J per unit, shape (COUNT, SIZE)."""
 
     rows: np.ndarray
     totals: Totals = Totals()
@@ -253,9 +253,9 @@ class DriveParts:
         return cls(rows)
 
     def plus(self, interval: Interval, parts: np.ndarray, noise: float) -> DriveParts:
-        """With one more interval, its `Equation.split`, (COUNT, SIZE), and its noise, J^2."""
-        own = parts.copy()
-        own[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY hold its energy
+        """The parts with one more interval, of these `Equation.split` parts and noise, J^2."""
+        without_load = parts.copy()
+        without_load[:, State.LOAD] = 0.0  # WANDERED and LOAD_ENERGY hold its energy
         more = (
             interval.energy,
             max(0.0, interval.sampling_variance),
@@ -264,22 +264,22 @@ class DriveParts:
             unseen_of(interval),
             noise,
         )
-        sums = (ours + other for ours, other in zip(astuple(self.totals), more, strict=True))
-        return DriveParts(self.rows + own, Totals(*sums))
+        sums = (before + added for before, added in zip(astuple(self.totals), more, strict=True))
+        return DriveParts(self.rows + without_load, Totals(*sums))
 
     def ended(self, state: CarState) -> EndedDrive:
         """Parts as functions of the states of the car alone."""
         mean, covariance = state.mixture()
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-12))[LASTING]
         car = covariance[np.ix_(LASTING, LASTING)] / np.outer(scale, scale)
-        shared = covariance[np.ix_(LASTING, OWN)] / scale[:, None]
-        gain = (np.linalg.lstsq(car, shared, rcond=1e-9)[0] / scale[:, None]).T
-        rows = self.rows[:, LASTING] + self.rows[:, OWN] @ gain
-        own = covariance[np.ix_(OWN, OWN)] - gain @ covariance[np.ix_(LASTING, OWN)]
+        shared = covariance[np.ix_(LASTING, OF_DRIVE)]
+        gain = (np.linalg.lstsq(car, shared / scale[:, None], rcond=1e-9)[0] / scale[:, None]).T
+        left = covariance[np.ix_(OF_DRIVE, OF_DRIVE)] - gain @ shared
+        of_drive = self.rows[:, OF_DRIVE]
         return EndedDrive(
-            rows,
-            self.rows[:, OWN] @ (mean[OWN] - gain @ mean[LASTING]),
-            self.rows[:, OWN] @ own @ self.rows[:, OWN].T,
+            self.rows[:, LASTING] + of_drive @ gain,
+            of_drive @ (mean[OF_DRIVE] - gain @ mean[LASTING]),
+            of_drive @ left @ of_drive.T,
             self.totals,
         )
 
@@ -291,8 +291,8 @@ class EndedDrive:
     Attributes:
         rows: energy by part and state of `LASTING`, J per unit, shape (COUNT, len(LASTING)).
         offset: J, shape (COUNT,).
-        own: covariance of the states of the drive alone, J^2, shape (COUNT, COUNT).
-        totals: what it is of.
+        own: covariance by the states of the drive alone, J^2, shape (COUNT, COUNT).
+        totals: of the drive.
     """
 
     rows: np.ndarray
@@ -304,12 +304,12 @@ class EndedDrive:
 def breakdowns(
     ended: Sequence[EndedDrive], now: DriveParts, state: CarState, equation: Equation
 ) -> Breakdowns:
-    """Breakdowns of drives that ended and of the one that goes on, by all that was learned."""
+    """Breakdowns of ended drives and of the one in progress, by all that was learned."""
     drives = (*ended, now.ended(state))
     mean, covariance = state.mixture()
     rows = np.concatenate([drive.rows for drive in drives])
-    # The energy of the load of a drive that the car does not explain is in the offset.
-    unseen = [
+    # By eq. 21; the offset has the energy of the drive's load.
+    regained = [
         float(drive.rows[Part.REGAINED, _TERMS] @ mean[PHYSICS] + drive.offset[Part.REGAINED])
         for drive in drives
     ]
@@ -320,7 +320,7 @@ def breakdowns(
     shape = len(drives), COUNT
     energy, whole = energy.reshape(shape), whole.reshape(shape + shape)
     for number, drive in enumerate(drives):
-        beside = _beside(energy[number], unseen[number], drive.totals, weight, growth)
+        beside = _beside(energy[number], regained[number], drive.totals, weight, growth)
         whole[number, :, number] += drive.own + beside
     return Breakdowns(energy, whole, tuple(drive.totals for drive in drives))
 
@@ -328,7 +328,7 @@ def breakdowns(
 def _beside(
     energy: np.ndarray, regained: float, totals: Totals, weight: float, growth: float
 ) -> np.ndarray:
-    """Covariance that no state holds, J^2: heights that stray, edges, wind and maps of losses.
+    """Covariance beside that of the states, J^2: by errors of heights, edges, wind and losses.
 
     Args:
         energy: of each part, J, shape (COUNT,).
@@ -337,14 +337,14 @@ def _beside(
         weight: over eta, N.
         growth: variance of the unseen climb per length of floors, m, NaN for roads.
     """
-    own = np.zeros((COUNT, COUNT))
+    covariance = np.zeros((COUNT, COUNT))
     if totals.unseen < totals.distance:
-        own += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
+        covariance += 2.0 * (weight * HEIGHT_STRAYS) ** 2 * np.outer(STRAYED_HILL, STRAYED_HILL)
     if totals.unseen > 0.0:
         climbed = _unseen_climb(energy, totals.unseen)
         on_roads = math.isnan(growth)
         climb = net_climb(totals.unseen) ** 2 if on_roads else growth * totals.unseen
-        own += weight**2 * climb * np.outer(climbed, climbed)
+        covariance += weight**2 * climb * np.outer(climbed, climbed)
     unit = np.eye(COUNT)
     braking = unit[Part.REGAINED] - unit[Part.BRAKES] + unit[Part.DRIVETRAIN]
     mistaken = (
@@ -353,14 +353,14 @@ def _beside(
         NOT_REGAINED * energy[Part.REGAINED] * braking,
         NOT_REGAINED_UNSEEN * regained * braking,
     )
-    own += sum(np.outer(direction, direction) for direction in mistaken)
-    # (m v dv)^2 at both ends
-    own[Part.SPEED, Part.SPEED] += 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])
-    return own
+    covariance += sum(np.outer(direction, direction) for direction in mistaken)
+    ends = 2.0 * weight / GRAVITY * EDGE_SPEED**2 * abs(energy[Part.SPEED])  # (m v dv)^2 at both
+    covariance[Part.SPEED, Part.SPEED] += ends
+    return covariance
 
 
 def climb_as_rolling(unseen: float) -> float:
-    """1-sigma of C_rr that an unseen net climb over a distance, m, looks like."""
+    """1-sigma of C_rr by an unseen net climb over a distance, m."""
     if unseen <= 0.0:
         return 0.0
     return net_climb(unseen) * _as_friction(unseen) / unseen

@@ -34,14 +34,14 @@ class SavedBand(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SavedBands:
-    """Those of predicted and of smoothed power."""
+    """Bands of predicted and of smoothed power."""
 
     predicted: SavedBand
     smoothed: SavedBand
 
 
 class Waiting(NamedTuple):
-    """Predictions without a battery reading yet: stamps, power and 1-sigma, W, and if moving."""
+    """Predictions that await a battery reading: stamps, power and 1-sigma, W, and if moving."""
 
     stamp_ns: np.ndarray
     power: np.ndarray
@@ -49,11 +49,11 @@ class Waiting(NamedTuple):
     moving: np.ndarray
 
     def and_then(self, later: Waiting) -> Waiting:
-        """These predictions, and those that follow."""
+        """These predictions and `later` ones, concatenated."""
         return Waiting(*map(np.concatenate, zip(self, later, strict=True)))
 
     def after(self, index: np.ndarray) -> Waiting:
-        """The latest predictions behind the measured ones, which are at increasing indices."""
+        """At most `MOST_WAITING` predictions after the measured ones, at increasing indices."""
         first = max(len(self.power) - MOST_WAITING, *(index[-1:] + 1), 0)
         return Waiting(*(column[first:] for column in self))
 
@@ -65,7 +65,7 @@ class Checked(NamedTuple):
     """A prediction whose power was measured.
 
     Attributes:
-        place: how many predictions come before this is known.
+        place: number of predictions that come before this is known.
         moving: whether the car moves.
         error: measured less predicted power, W.
         sigma: 1-sigma of the model, not calibrated, W.
@@ -78,7 +78,7 @@ class Checked(NamedTuple):
 
 
 class BandCalibration(Saveable[SavedBand]):
-    """Scale of sigma, apart for a moving and a standing car, whose errors differ in kind."""
+    """Scale of sigma, separate for a moving and a standing car, whose errors differ in kind."""
 
     def __init__(self) -> None:
         self._ratio = {True: GAUSSIAN_QUANTILE, False: GAUSSIAN_QUANTILE}
@@ -101,7 +101,7 @@ class BandCalibration(Saveable[SavedBand]):
         Args:
             moving: whether the car moves, shape (n,).
             sigma: 1-sigma of the model, W, shape (n,).
-            learned: predictions that are compared with measurements meanwhile, in order.
+            learned: predictions that are measured meanwhile, in order.
         """
         ratios = np.empty(len(sigma))
         begin = 0

@@ -1,7 +1,7 @@
 """Everything learned of a car from intervals, as one value.
 
 `after` gives the car after some more intervals and leaves this one as it is, so an update can be
-computed in a thread beside the callbacks, and thrown away.
+computed in a thread beside the callbacks, and its result can be dropped.
 """
 
 from __future__ import annotations
@@ -52,22 +52,22 @@ class LearnedCar:
     Attributes:
         equation: of the car.
         state: the posterior.
-        driven: driving over which the published parameters are the mean.
+        driven: sums over driving, to which the published parameters are fitted.
         rehearsals: predictions under way whose errors will scale the bands.
-        parts: where the energy of this drive went.
-        ended: the same of drives before it, if they are kept to be compared, and of the driving
-            before a long stop; each with the number of its drive.
+        parts: energy of this drive by part.
+        ended: parts of earlier drives, if kept for comparison, and of this drive before a long
+            stop; each after the number of its drive.
         number: of this drive.
         payload: of this drive against the drive before.
         grade: sign of the reported grade.
-        unevenness: energy of uneven speed beyond even speed, by the drives that ended.
-        hills: of their roads.
-        steps: of this drive, to learn both from.
-        dropout: what was driven since the battery was last measured.
+        unevenness: energy of uneven speed beyond even speed, by ended drives.
+        hills: net climbs of drives with known heights.
+        steps: of this drive, from which `unevenness` is learned at its end.
+        dropout: driving since the battery was last measured.
         end_ns: end of the last interval.
-        known_ns: up to where the battery was measured: before `end_ns` in a dropout.
-        stretches: roads and drives begun so far; one begun meanwhile outdates an update.
-        gated: intervals not learned from, by reason, of this update.
+        known_ns: end of measured energy: `end_ns`, in a dropout less.
+        stretches: number of roads and drives begun; one begun meanwhile outdates an update.
+        gated: intervals not learned from in this update, by reason.
     """
 
     equation: Equation
@@ -123,13 +123,13 @@ class LearnedCar:
         return (*before_stops, self.parts.ended(self.state))
 
     def together(self, before: Sequence[EndedDrive]) -> Breakdowns:
-        """Energy of this drive and of others before it, as that of one."""
+        """Breakdown of this drive and of others before it, summed."""
         drives = (*before, *self.drive()[:-1])
         of_drives = breakdowns(drives, self.parts, self.state, self.equation)
         return of_drives.joined([0] * len(of_drives.drives)).possible()
 
     def breakdowns(self) -> Breakdowns:
-        """Energy of this drive, and of those kept before it, by where it went."""
+        """Breakdowns of the drives that were kept, and of this one, last."""
         drives = [parts for _, parts in self.ended]
         of_drives = breakdowns(drives, self.parts, self.state, self.equation)
         owners = [*(number for number, _ in self.ended), self.number]
@@ -148,10 +148,10 @@ class LearnedCar:
         )
 
     def begin_drive(self, *, compare: bool = False, goes_on: bool = False) -> LearnedCar:
-        """Another drive.
+        """The car at the begin of another drive.
 
         Args:
-            compare: keep the parts of the drives before, to compare; no offset is as it was.
+            compare: keep the parts of earlier drives for comparison, and no offset.
             goes_on: continue the breakdown, as over a long stop in a recording.
         """
         car = self.forget_road()
@@ -162,8 +162,8 @@ class LearnedCar:
             number += 1
         if not (compare or goes_on):
             ended, number = (), 0
-        keep = {"keep": KEPT_WHEN_COMPARED} if compare else {}
-        state = begin_drive(car.judged(), self.equation, **keep)
+        keep = KEPT_WHEN_COMPARED if compare else 1.0
+        state = begin_drive(car.judged(), self.equation, keep=keep)
         return replace(
             car,
             state=state,
@@ -179,7 +179,7 @@ class LearnedCar:
         )
 
     def uneven(self) -> Unevenness:
-        """Energy of uneven speed, by this drive too."""
+        """`unevenness` with this drive."""
         if not self.steps:
             return self.unevenness
         mean = self.state.weights @ self.state.mean
@@ -187,7 +187,7 @@ class LearnedCar:
         return self.unevenness.after(self.equation, mean, drive)
 
     def judged(self) -> CarState:
-        """The state judged as if this drive ended here."""
+        """The state with the error of this drive in its bands, as if it ended here."""
         return self.rehearsals.end_drive(self.state, self.equation)
 
     def is_finite(self) -> bool:

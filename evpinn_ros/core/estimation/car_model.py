@@ -23,7 +23,7 @@ MOST_SECONDS = 1e9  # of a drive
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarModel:
-    """A car as a dropout, a forecast and a planner need to know it.
+    """A car for predictions: of dropouts, forecasts and planners.
 
     Attributes:
         equation: of the car.
@@ -32,12 +32,12 @@ class CarModel:
         noise: scales of the kinds of unexplained energy (`noise_of`), shape (3,).
         load_variance: of the wandering load, W^2.
         growth: variance of unseen height per length of road, m.
-        trust: factor of the variance of energy, by rehearsals: of whole drives until something was
-            learned in this one, then of dropouts.
-        seconds: of this drive so far.
-        celsius: temperature outside, the last known, or None.
+        trust: factor of the variance of energy, by rehearsals of whole drives, or of dropouts once
+            an interval of this drive was learned from.
+        seconds: length of this drive so far, s.
+        celsius: last known temperature outside, degrees Celsius, or None.
         unevenness: energy of uneven speed beyond even speed.
-        last_drive: s of the drive before.
+        last_drive: length of the drive before, s; 0 if unknown.
         record: errors of earlier drives, predicted at their start.
     """
 
@@ -60,7 +60,7 @@ class CarModel:
         return GRAVITY * float(self.mean[State.MASS_OVER_ETA])
 
     def energy(self, journey: Journey) -> PredictedEnergy:
-        """Energy of a journey, or of several, from here on, without any battery."""
+        """Energy of a journey, or of several, from here on, without battery readings."""
         _, integral, rest = wandered(journey.seconds)
         row = journey.row.copy()
         row[..., State.LOAD] = integral
@@ -70,7 +70,7 @@ class CarModel:
         return PredictedEnergy(row @ self.mean, variance, hills)
 
     def predicted(self, journey: Journey) -> tuple[Any, Any]:
-        """Energy of a journey, or of several, from here on, and its 1-sigma to be trusted, J."""
+        """Energy of a journey, or of several, and 1-sigma with `trust` and unseen hills, J."""
         energy = self.energy(journey)
         variance = self.trust * energy.with_hills(self.growth)
         return energy.mean, np.sqrt(np.maximum(variance, 0.0))

@@ -16,10 +16,10 @@ from evpinn_ros.core.vehicle.identifiable import Identifiable
 class Trust(str, Enum):
     """Trustworthiness of a parameter.
 
-    `unestimated` while the data hold next to no information on it; `estimating` while they still
-    learn it, or as long as it is mostly prior; `valid` when the data determine it and the value is
-    possible; `stale` after a long battery dropout; `invalid` when the signals
-    contradict each other, or the value lies where no car of this model can be.
+    `unestimated` while the data hold next to no information on it; `estimating` while it is being
+    learned, or mostly prior; `valid` when the data determine it and the value is possible;
+    `stale` after a long battery dropout; `invalid` when signals contradict each other, or the
+    value is impossible for a car of this model.
     """
 
     UNESTIMATED = "unestimated"
@@ -39,7 +39,7 @@ class ParameterEstimate:
     Attributes:
         trust: how far to trust it.
         progress: percent of the way to a combination that the data determine.
-        possible: False if the value is never trusted: no car has it, or it needs heights that are
+        possible: False if the value cannot be `valid`: no car has it, or it needs heights that are
             unknown.
     """
 
@@ -68,7 +68,7 @@ class ParameterEstimate:
 FIGURES = figures(ParameterEstimate) | {
     "state": Figure("", f"{', '.join(f'`{trust.value}`' for trust in [*Trust][:-1])} or `invalid`")
 }
-"""What files, tables and frames have of a parameter."""
+"""Figures of a parameter in files, tables and frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +76,10 @@ class ParameterSet:
     """All parameters at one moment.
 
     Attributes:
-        stamp_ns: the newest sample they rest on.
+        stamp_ns: stamp of the newest sample they rest on.
         parameters: one estimate for each of `PARAMETER_NAMES`.
-        identifiable: what the data alone determine.
-        identifiable_std: its 1-sigma.
+        identifiable: combinations that the data alone determine.
+        identifiable_std: their 1-sigma.
         reliable: whether every validity check is passed.
         identifiable_trust: how far each combination can be trusted.
         lag: time by which speed is stamped later than the battery, None while unknown.
@@ -94,7 +94,7 @@ class ParameterSet:
     lag: Lag | None = None
 
     def stale(self) -> ParameterSet:
-        """The parameters as `stale`: nothing was measured for long."""
+        """The parameters with `stale` in place of `valid`, after a long dropout."""
         return self._faded(Trust.STALE)
 
     def doubted(self) -> ParameterSet:

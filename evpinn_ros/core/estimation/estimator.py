@@ -187,7 +187,7 @@ class EstimatorStatus:
 class SavedEstimator:
     """State of a car: of its learner, its bands, its lag, and its size if that was learned.
 
-    `sizing` is what the size is still looked for in, None once it is settled.
+    `sizing` holds the intervals from which the size is still estimated; None once it is settled.
     """
 
     SAME = ("version", "vehicle", "mode")
@@ -209,7 +209,7 @@ class _Clock(NamedTuple):
         newest_ns: of the newest speed, None before the first.
         battery_ns: of the newest battery reading by the clock of speed, `NEVER` before the first.
         battery_gap_ns: time without the battery that is a dropout.
-        alignment: what is known of the lag.
+        alignment: of the clocks of speed and battery.
     """
 
     newest_ns: int | None
@@ -275,12 +275,14 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._persistence = Persistence()
         # Stamps at which the battery measured power, from the last before the smoothed samples.
         self._told_ns = np.array([NEVER])
-        self._ready: list[tuple[int, Interval]] = []  # for the next tick, with ready stamps
-        self._waiting = False
+        # Intervals for the next tick, each after the stamp that made it ready.
+        self._ready: list[tuple[int, Interval]] = []
+        self._waiting = False  # for the result of an update
         self._news = False  # True if there are intervals that no update has seen
         self._predictions = dict.fromkeys(self._bands, NO_PREDICTIONS)
-        self._predicted: list[tuple[int, float, float, bool]] = []  # at once, and not held yet
-        self._surroundings: tuple[list[float], Sample] | None = None  # as known now
+        # Columns of `Waiting`, predicted at once and not in `_predictions` yet.
+        self._predicted: list[tuple[int, float, float, bool]] = []
+        self._surroundings: tuple[list[float], Sample] | None = None  # `SampleStream.around`
 
     def handle_time_jump(self) -> None:
         """Forget what may not be joined across a jump of time; keep what was learned."""
@@ -310,7 +312,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return self._similarity.estimate(self._tick(self._clock))
 
     def begin_next_drive(self) -> None:
-        """Begin another drive of this car; the same holds for the stamps."""
+        """Begin another drive of this car, at any stamps."""
         self.finish()
         self.handle_time_jump()
         self._align(self._aligner.saved)
@@ -325,7 +327,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._worker.durations.clear()
 
     def add_readings(self, readings: Iterable[Reading]) -> list[Output]:
-        """Take readings in order of arrival; yields their outputs in order."""
+        """Take readings in order of arrival; returns their outputs in order."""
         return [output for _, output in self.add_block(Block.of(readings)).in_order()]
 
     def add_block(self, block: Block, *, breakdowns: bool = False) -> Outputs:
@@ -333,7 +335,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
 
         Args:
             block: of the readings.
-            breakdowns: whether the breakdown is asked for once a second.
+            breakdowns: whether `Outputs.learned` needs the breakdown.
         """
         self._tells_breakdown = breakdowns
         released, arrived = self._buffer.add(self._aligner.shifted(block))
@@ -347,7 +349,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """Take one reading as it comes; the outputs are those of `add_block` in another order.
 
         Returns:
-            Power that is measured or predicted at once, and each few tenths of a second the
+            Power that is measured or predicted at once, and every few tenths of a second the
             outputs that have become complete.
         """
         self._tells_breakdown = breakdowns
@@ -406,7 +408,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return PowerEstimate(PowerKind.PREDICTED, stamp_ns, size * power, size * sigma)
 
     def _measured_at_once(self, reading: BatteryReading) -> PowerEstimate | None:
-        """Power that a battery reading measures; of a current alone, with the last voltage."""
+        """Power that a battery reading measures; a current alone takes the last voltage."""
         power, age_ns = self._newest.battery.add_reading(reading)
         old = age_ns > self._stream.battery.voltage.gap_ns()
         if old or power != power or self._stuck.verdict.detected == BATTERY_STUCK:
@@ -644,7 +646,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return parameters.stale() if clock.silent_for(STALE_AFTER_NS) else parameters
 
     def model(self) -> CarModel | None:
-        """The car as forecasts of plans take it; None in the paper's mode."""
+        """The car for forecasts of plans; None in `mode: paper`."""
         model = self._learner.model()
         return None if model is None else self._similarity.model(model)
 
@@ -653,24 +655,24 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return self._learner.drive()
 
     def breakdown(self, before: Sequence[EndedDrive] = ()) -> Breakdown | None:
-        """Energy of this drive by where it went; with drives before it, of all of them.
+        """Breakdown of the energy of this drive, with that of drives before it.
 
-        None in the paper's mode, before the first interval, and while the mass is invalid: then
-        the car is another one, or a signal is wrong.
+        None in `mode: paper`, before the first interval, and while the mass is invalid, which
+        means another car or a wrong signal.
         """
         return self._breakdown_beside(self._parameters(self._clock), before)
 
     def _breakdown_beside(
         self, parameters: ParameterSet, before: Sequence[EndedDrive] = ()
     ) -> Breakdown | None:
-        """`breakdown` by what the parameters of the similar car are worth."""
+        """`breakdown`, given the parameters of the similar car."""
         breakdowns = self._learner.together(before)
         if breakdowns is None or parameters.parameters["mass"].trust is Trust.INVALID:
             return None
         return self._similarity.breakdowns(breakdowns).of(0)
 
     def breakdowns(self) -> Breakdowns | None:
-        """Those of all drives that were kept, the present one last."""
+        """Breakdowns of all drives that were kept, the present one last; None in `mode: paper`."""
         breakdowns = self._learner.breakdowns()
         return None if breakdowns is None else self._similarity.breakdowns(breakdowns)
 
@@ -683,7 +685,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return self._similarity.report(self._learner.report())
 
     def status(self) -> EstimatorStatus:
-        """Activity, counters and trust, as the diagnostics tell them."""
+        """Activity, counters and trust, for diagnostics."""
         parameters = self.parameters().parameters
         return EstimatorStatus(
             activity=self._activity(self._clock),
@@ -731,7 +733,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._bands[PowerKind.SMOOTHED].take(saved.bands.smoothed)
 
     def _seconds_begun(self, stamps: np.ndarray) -> np.ndarray:
-        """Stamps of the first speed in each second, ns, of those of a block."""
+        """Stamps of the speeds of a block that begin a second, ns."""
         if not len(stamps):
             return stamps
         if self._first_ns is None:
@@ -744,7 +746,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
     def _ticks(
         self, firsts: np.ndarray, alignments: Sequence[tuple[int, Alignment]]
     ) -> list[_Clock]:
-        """The first speeds of seconds as clocks, by alignments that hold from stamps on."""
+        """A clock for each of `firsts`, by alignments and the stamps from which they hold."""
         if not len(firsts):
             return []
         since = [stamp_ns for stamp_ns, _ in alignments]
@@ -757,7 +759,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         ]
 
     def _tick(self, clock: _Clock) -> ParameterSet:
-        """Accept the last update, begin the next, give the parameters."""
+        """Take the result of the last update, begin the next; returns the parameters."""
         if self._waiting:
             self._collect()
         if self._news and not self._waiting and self._activity(clock) is not Activity.PAUSED:

@@ -56,8 +56,8 @@ class Even(NamedTuple):
 
     Attributes:
         steps: n of them; their air is that of the wind of the leg.
-        unknown: m of each whose height is not known, shape (n,).
-        run: number of the run of each, from 0 on, shape (n,).
+        unknown: m of each step whose height is not known, shape (n,).
+        run: number of each step's run, from 0 on, shape (n,).
     """
 
     steps: Path
@@ -87,7 +87,7 @@ def even_course(
 
     Args:
         legs: of one trip.
-        unknown: m of each whose height is not known.
+        unknown: m of each leg whose height is not known.
         piece: longest step, m.
         onward: True if the road goes on, so that the last speed is kept.
     """
@@ -154,7 +154,7 @@ def _ramps(
 
 
 def _divided(legs: np.ndarray, time: np.ndarray, piece: float) -> np.ndarray:
-    """Times, s, that divide legs into steps of `PIECE_SECONDS` and of so many m at most."""
+    """Times, s, that divide legs into steps of at most `PIECE_SECONDS` and `piece`, m."""
     pieces = np.maximum(legs[0] / PIECE_SECONDS, legs[1] / piece)
     # A whole number of pieces plus rounding is no piece more.
     pieces = np.maximum(np.ceil(pieces - 1e-6), 1).astype(int)

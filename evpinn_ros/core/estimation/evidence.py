@@ -50,8 +50,9 @@ def evidence(mean: np.ndarray, covariance: np.ndarray, prior: np.ndarray) -> Evi
     after, before = _inverse(covariance), _inverse(prior)
     values, directions = np.linalg.eigh(after - before)
     counts = values > LEAST_INFORMED / (1.0 - LEAST_INFORMED)
-    own = directions[:, counts]
-    return Evidence((own * values[counts]) @ own.T, own @ own.T @ (after @ mean))
+    informed = directions[:, counts]
+    precision = (informed * values[counts]) @ informed.T
+    return Evidence(precision, informed @ informed.T @ (after @ mean))
 
 
 def file_prior(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:

@@ -52,7 +52,7 @@ def innovate(
 
 
 def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
-    """The state given a measurement, with extra variance, shape (...), as of an outlier."""
+    """The state given a measurement; extra: additional variance of outliers, shape (...)."""
     gain = seen.along / (seen.variance + extra)[..., None]
     mean = state.mean + gain * seen.residual[..., None]
     change = gain[..., :, None] * seen.along[..., None, :]
@@ -60,7 +60,7 @@ def condition(state: Gaussian, seen: Innovation, extra: np.ndarray) -> Gaussian:
 
 
 def replace_states(state: Gaussian, variances: Mapping[Any, Any]) -> Gaussian:
-    """The state with some entries replaced by zero, uncorrelated, with variances by index."""
+    """The state with some entries set to zero, uncorrelated, with these variances by index."""
     mean, covariance = state.mean.copy(), state.covariance.copy()
     for index, variance in variances.items():
         mean[..., index] = 0.0
@@ -80,8 +80,8 @@ def mixture(weights: np.ndarray, state: Gaussian) -> Gaussian:
 def at_least_zero(state: Gaussian, entries: Sequence[int]) -> np.ndarray:
     """Likeliest mean, shape (n,), if some entries cannot be negative.
 
-    The other entries move by their covariance, so a sum that is known stays as it is. An active
-    set of conditions (Nocedal and Wright, Numerical Optimization, 16.5).
+    The other entries move by their covariance, so a known sum stays as it is. An active-set method
+    (Nocedal and Wright, Numerical Optimization, 16.5).
     """
     mean, covariance = state
     held: list[int] = []

@@ -137,7 +137,7 @@ class HybridLearner(Saveable[SavedHybrid]):
                 self._use(self._car.forget_road())
 
     def _follow(self, span: Span, passed_ns: np.ndarray) -> Predictions:
-        """Follow a span without a pause, whose smoothed samples come so many ns after another."""
+        """`follow` without a pause; passed_ns: step before each smoothed sample, shape (m,)."""
         count, passed, _ = span.sizes
         samples = joined_samples((span.newest, span.smoothed, span.measured))
         power, sigma = self._car_power(samples)
@@ -162,7 +162,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         return Predictions(both[newest], both[smoothed], energies)
 
     def predict(self, sample: Sample) -> tuple[float, float]:
-        """Power and its 1-sigma, W, at a sample by what is learned now: `follow` by numbers."""
+        """Power and its 1-sigma, W, at a sample by what is learned now: `follow` for a scalar."""
         model = self._model
         row = self._equation.row_of(sample, self._warmth)
         row[State.LOAD] = self._load_left
@@ -174,7 +174,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         return power if self._regenerates else max(power, 0.0), math.sqrt(variance)
 
     def _possible(self, power: np.ndarray) -> np.ndarray:
-        """Power, W; not negative for a battery that braking was never seen to charge."""
+        """Power, W, not negative for a car that was never seen to regenerate."""
         return power if self._regenerates else np.maximum(power, 0.0)
 
     def _car_power(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
@@ -259,14 +259,14 @@ class HybridLearner(Saveable[SavedHybrid]):
         return True
 
     def prepare_update(self) -> Callable[[], LearnedCar] | None:
-        """Learn the intervals that wait, None where there are none."""
+        """Work that learns the waiting intervals; None if there are none."""
         if not self._waiting:
             return None
         car, intervals, self._waiting = self._car, self._waiting, []
         return lambda: car.after(intervals)
 
     def consider(self, candidate: LearnedCar) -> str | None:
-        """Take the result of an update, unless it is not finite or its drive has ended."""
+        """Use the result of an update; the reason why not if it is not finite or outdated."""
         if not candidate.is_finite():
             return "not_finite"
         if candidate.stretches != self._car.stretches:
@@ -289,7 +289,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         return self._car.drive()
 
     def together(self, before: Sequence[EndedDrive]) -> Breakdowns:
-        """Energy of this drive and of others before it, as that of one."""
+        """Breakdown of this drive and of others before it, summed."""
         if before:
             return self._car.together(before)
         if self._together is None:
@@ -297,11 +297,11 @@ class HybridLearner(Saveable[SavedHybrid]):
         return self._together
 
     def breakdowns(self) -> Breakdowns | None:
-        """Energy of this drive, and of those kept before it, by where it went."""
+        """Breakdowns of the drives that were kept, and of this one, last."""
         return self._car.breakdowns()
 
     def model(self) -> CarModel:
-        """The car as forecasts take it; after a restart they are of another drive."""
+        """The car for forecasts; after a restart, at the begin of another drive."""
         car = self._car
         if self._last_ns is None and car.state.intervals:
             return car.begin_drive().model()
@@ -312,9 +312,9 @@ class HybridLearner(Saveable[SavedHybrid]):
         return evidence_of(self._car.state, self._equation, self._car.driven)
 
     def report(self) -> LearnerReport:
-        """Change of payload, a current or grade of the wrong sign.
+        """Change of payload, and a wrong sign of the current, or else of the grade.
 
-        Without current no grade can be checked.
+        The grade is checked by the current.
         """
         sign = self._sign.detected or self._car.grade.detected
         return LearnerReport(self._car.payload.change, sign)
@@ -331,12 +331,12 @@ class HybridLearner(Saveable[SavedHybrid]):
         self._begin_drive(goes_on=False)
 
     def _begin_drive(self, *, goes_on: bool) -> None:
-        """Begin another drive; the breakdown goes on, or begins with it."""
+        """Begin another drive; the breakdown goes on or begins anew."""
         self.forget_window()
         self._use(self._car.begin_drive(compare=self._keep_drives, goes_on=goes_on))
 
     def saved(self) -> SavedHybrid:
-        """What was learned of the car, without the present road and the last seconds."""
+        """State to save: the car, without the present road and the last seconds."""
         return SavedHybrid(
             car=saved_state(self._car.judged()),
             uneven=self._car.uneven(),

@@ -28,7 +28,7 @@ class Journey(NamedTuple):
     Attributes:
         row: energy by each state, J per unit, shape (..., SIZE); of `State.LOAD` the seconds.
         seconds: s.
-        noise: variance of what no state explains by its kinds, at scale 1, J^2, shape (..., 3).
+        noise: variance of energy that no state explains (`noise_of`), J^2, shape (..., 3).
         unseen: m of road whose height is not known.
     """
 
@@ -87,7 +87,7 @@ def unexplained(
 
     Args:
         seconds: s, any shape, numpy or torch.
-        stood: how many of them the car stands.
+        stood: seconds of these in which the car stands.
         square: integral of speed squared, m^2/s.
         force: 1-sigma while moving, N.
     """
@@ -106,7 +106,7 @@ def noise_of(steps: Steps) -> np.ndarray:
 
 
 def wandered(seconds: Any) -> tuple[Any, Any, Any]:
-    """An Ornstein-Uhlenbeck process of variance 1 over so many s; any shape, numpy or torch.
+    """An Ornstein-Uhlenbeck process of variance 1 after `seconds`; any shape, numpy or torch.
 
     Returns:
         The share of its value that is left; the integral expected from its present value, s; the
@@ -119,18 +119,18 @@ def wandered(seconds: Any) -> tuple[Any, Any, Any]:
 
 
 class Tail:
-    """The newest samples, which no interval holds yet, as sums of which journeys are differences.
+    """Cumulative sums over the newest samples, which no interval holds yet.
 
-    A step's kinetic energy is an exact difference, as an interval's is. Nothing is computed
-    before a journey is asked for, which is in dropouts alone.
+    Journeys are differences of these sums. Kinetic energy is exact, as in intervals. Sums are
+    computed when a journey is asked for, which is in dropouts alone.
     """
 
     def __init__(self, equation: Equation) -> None:
-        """Nothing driven by a car."""
+        """Start without samples."""
         self._equation = equation
         self._samples, self._newest_ns = NO_SAMPLES, NEVER
         self._later: list[Samples] = []
-        self._waiting = 0  # samples in these
+        self._waiting = 0  # samples in `_later`
         self._sums = Journey(np.empty((0, SIZE)), np.empty(0), np.empty((0, 3)), np.empty(0))
 
     def extend(self, samples: Samples) -> None:
@@ -146,7 +146,7 @@ class Tail:
             self._join()
 
     def _join(self) -> None:
-        """Append the samples that came since; only the latest are kept."""
+        """Append `_later` to the samples, of which only the latest are kept."""
         self._samples = joined_samples((self._samples, *self._later))
         self._later.clear()
         self._waiting = 0
@@ -156,7 +156,7 @@ class Tail:
             self._sums = Journey(*(column[surplus:] for column in self._sums))
 
     def between(self, start_ns: int, ends: np.ndarray, warmth: Warmth) -> Journey:
-        """Journeys from one stamp to others, as far as they are remembered, shape (n,) each."""
+        """Journeys from one stamp to n others, within the samples that are kept."""
         self._join()
         stamps = self._samples.stamp_ns
         if not len(stamps):
@@ -165,7 +165,7 @@ class Tail:
         return self._until(ends).less(self._until(np.array([start_ns])))
 
     def _sum(self, count: int, warmth: Warmth) -> None:
-        """Compute the sums up to so many samples."""
+        """Compute the sums over the first `count` samples."""
         summed, count = len(self._sums.seconds), min(count, self._samples.size)
         if count <= summed:
             return
@@ -198,16 +198,16 @@ class Tail:
         drive, brake = np.maximum(motor, 0.0), np.maximum(-motor, 0.0)
         moved = seconds, way, air, kinetic, climb, drive, brake
         rows = self._equation.rows_along(moved, end, warmth)
-        told = ~np.isnan(motor)
+        torque = ~np.isnan(motor)
         stood, square = standing(seconds, way), way**2 / np.maximum(seconds, 1e-9)
-        force = np.where(told, TORQUE_NOISE, FORCE_NOISE)
+        force = np.where(torque, TORQUE_NOISE, FORCE_NOISE)
         still, moving = unexplained(seconds, stood, square, force=force)
-        noise = np.stack((still, np.where(told, 0.0, moving), np.where(told, moving, 0.0)), axis=1)
-        unseen = np.where((end.grade != 0.0) | told, 0.0, way)
-        return Journey(rows, seconds, noise, unseen)
+        kinds = still, np.where(torque, 0.0, moving), np.where(torque, moving, 0.0)
+        unseen = np.where((end.grade != 0.0) | torque, 0.0, way)
+        return Journey(rows, seconds, np.stack(kinds, axis=1), unseen)
 
     def _until(self, stamps: np.ndarray) -> Journey:
-        """The sums up to stamps, with their shares of the steps that span them."""
+        """The sums up to stamps, linear within steps."""
         times = self._samples.stamp_ns[: len(self._sums.seconds)]
         after = np.clip(np.searchsorted(times, stamps), 0, len(times) - 1)
         before = np.maximum(after - 1, 0)

@@ -26,36 +26,36 @@ from evpinn_ros.core.signals.readings import (
 )
 
 STEP = 0.1  # s between lags, whose optimum a parabola refines, and of the grid of a block
-STEPS_A_READING = 20  # of a signal that is polled slowly, whose lag may be longer
-MOST = 50  # steps, the longest lag that is looked for
+STEPS_A_READING = 20  # grid steps between readings of a slow signal, whose lag may be longer
+MOST = 50  # steps, the longest lag
 BLOCK = 300  # steps of power in a block
-SMOOTH = 0.5  # s over which both are averaged alike, or one step between readings of a slow one
+SMOOTH = 0.5  # s over which both signals are averaged, or a step between readings if longer
 TERMS = 4  # of speed: speeding up, slowing down, rolling, drag
-ACCELERATION = 0.3  # m/s^2, that counts as speeding up or slowing down
+ACCELERATION = 0.3  # m/s^2; more is speeding up or slowing down
 DRIVEN = 0.1  # least share of such times in a block
-LEAST_BLOCKS = 5  # from which a lag is learned,
-LEAST_POLLED = 10  # and from which it is known where signals are slow
+LEAST_BLOCKS = 5  # blocks from which on a lag is learned
+LEAST_POLLED = 10  # blocks from which on the lag of slow signals is known
 BLOCKS_KEPT = 60
 SHIFTS = np.arange(-MOST, MOST + 1)
 SCALE = np.array([10.0, 10.0, 10.0, 1000.0])[:, None]  # of the terms, so that all are near 1
 GAP, GAP_STEPS = 2.5, 6.0  # s, and usual steps, across which readings are joined
-LONGEST = 60.0  # s, of a saved lag
+LONGEST = 60.0  # s, longest saved lag and longest pause within a drive
 
 LEAST_READINGS = 6  # of a block
-KNOWN, KNOWN_SHARE = 0.1, 0.1  # s, and of `smooth`: 1-sigma of a lag that is known
+KNOWN, KNOWN_SHARE = 0.1, 0.1  # largest 1-sigma of a known lag: s, and share of `smooth`
 SIGMAS = 3.0  # distance from zero at which a lag is applied
-# Shortest lag that is applied, over the time of averaging: 0.2 s at 10 Hz. Recorded cars with a
-# shorter lag gain nothing, and that of a polled log is not known better.
+# Shortest lag that is applied, as a share of the time of averaging: 0.2 s at 10 Hz. Recorded cars
+# gain nothing by a shorter one, and that of a polled log is not known better.
 LEAST_SHARE = 0.4
-LARGE = 0.5  # s, beyond which the lag is a fault to be mended, and parameters wait for it
-FURTHEST = -2.0, 5.0  # s; a battery that comes later is a dropout
+LARGE = 0.5  # s; a longer lag is a fault of the source, and no parameter is valid until it is out
+FURTHEST = -2.0, 5.0  # s, limits of the shift; a battery that comes later is a dropout
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
     """Time by which speed is stamped later than the battery, and its 1-sigma, s.
 
-    `least` is the shortest lag that is applied, s: of a polled log it is longer.
+    `least` is the shortest lag that is applied, s; it is longer for a polled log.
     """
 
     seconds: Annotated[float, Range(-LONGEST, LONGEST)]
@@ -64,12 +64,12 @@ class Lag:
 
     @property
     def matters(self) -> bool:
-        """True if it is long enough to be applied, and surely not zero."""
+        """True if the lag is long enough to be applied, and surely not zero."""
         return abs(self.seconds) > max(self.least, SIGMAS * self.sigma)
 
     @property
     def large(self) -> bool:
-        """True if it surely is a fault, to be corrected in the source of the stamps."""
+        """True if the lag surely is a fault of the source of the stamps."""
         return abs(self.seconds) > max(LARGE, self.least) + SIGMAS * self.sigma
 
     def less(self, shift: float) -> Lag:
@@ -78,9 +78,12 @@ class Lag:
 
 
 class LagBlock(NamedTuple):
-    """Sums over a block at each of `SHIFTS`, about their means.
+    """Products over a block, about the means, at each of the n `SHIFTS`.
 
-    Terms by terms, shape (n, TERMS, TERMS), terms by power, (n, TERMS), and power by itself.
+    Attributes:
+        terms: of terms of speed, shape (n, TERMS, TERMS).
+        cross: of terms with power, shape (n, TERMS).
+        power: of power with itself, W^2.
     """
 
     terms: np.ndarray
@@ -91,14 +94,14 @@ class LagBlock(NamedTuple):
 def lag_block(
     speed: np.ndarray, power: np.ndarray, start: float, step: float = STEP, smooth: float = SMOOTH
 ) -> LagBlock | None:
-    """Sums of the block that begins at a moment, s; None where the speed is steady.
+    """Products of a block; None where the speed is steady.
 
     Args:
-        speed: rows of time, s, and speed, m/s, from `MOST` steps before it to as many after.
+        speed: rows of time, s, and speed, m/s, of the block and `MOST` steps on both sides.
         power: rows of time, s, and power, W, of the block.
-        start: begin of the block.
+        start: begin of the block, s.
         step: of its grid, s.
-        smooth: s, over which both are averaged alike.
+        smooth: time over which both are averaged, s.
     """
     edges = start + step * np.arange(-MOST, BLOCK + MOST + 1)
     mean = _averaged(speed, edges, smooth)
@@ -116,7 +119,7 @@ def lag_block(
 
 
 def lag_of(blocks: Sequence[LagBlock], step: float = STEP) -> Lag | None:
-    """The lag that blocks of a grid show together; None if they are few or show none."""
+    """The lag of blocks of one grid together; None if they are few or show none."""
     count = len(blocks)
     if count < LEAST_BLOCKS:
         return None
@@ -131,7 +134,7 @@ def lag_of(blocks: Sequence[LagBlock], step: float = STEP) -> Lag | None:
 
 
 def _optima(terms: np.ndarray, cross: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Shifts at the greatest explained share of m sums; NaN where it is at the end of `SHIFTS`."""
+    """Shifts of the largest explained share, shape (m,); NaN where it is at an end of `SHIFTS`."""
     ridge = 1e-6 * np.trace(terms, axis1=2, axis2=3)[..., None, None] * np.eye(TERMS)
     fitted = np.linalg.solve(terms + ridge, cross[..., None])[..., 0]
     explained = (fitted * cross).sum(axis=2) / np.maximum(power, 1e-9)[:, None]
@@ -144,7 +147,7 @@ def _optima(terms: np.ndarray, cross: np.ndarray, power: np.ndarray) -> np.ndarr
 
 
 def _averaged(signal: np.ndarray, moments: np.ndarray, width: float) -> np.ndarray:
-    """Means of a signal, linear between its rows, over a width, s, around moments."""
+    """Means of a signal, linear between its rows, over a `width`, s, around moments."""
     time, value = signal.T
     integral = np.append(0.0, np.cumsum(np.diff(time) * (value[1:] + value[:-1]) / 2.0))
     after, before = (
@@ -160,7 +163,7 @@ class _Signal:
         self.time, self.values = np.empty(0), np.empty(0)
 
     def extend(self, seconds: np.ndarray, values: np.ndarray) -> None:
-        """Take readings but those that are NaN."""
+        """Add the readings that are not NaN."""
         there = ~np.isnan(values)
         self.time = np.concatenate((self.time, seconds[there]))
         self.values = np.concatenate((self.values, values[there]))
@@ -171,7 +174,7 @@ class _Signal:
         self.time, self.values = self.time[first:], self.values[first:]
 
     def period(self, end: float) -> float:
-        """Usual step of the readings up to a moment, s; NaN of few."""
+        """Usual step of the readings up to a moment, s; NaN while few."""
         time = self.time[: self.time.searchsorted(end, side="right")]
         return math.nan if len(time) < LEAST_READINGS else float(np.median(np.diff(time)))
 
@@ -190,7 +193,7 @@ class LagLearner:
     """Lag of speed to battery, from readings of a drive in order of stamps.
 
     Attributes:
-        lag: as it is now, None before the first.
+        lag: present estimate, None before the first.
     """
 
     def __init__(self) -> None:
@@ -203,9 +206,9 @@ class LagLearner:
     def begin_stretch(self) -> None:
         """Join nothing to the readings before; what was learned is kept."""
         self._speed, self._voltage, self._current = _Signal(), _Signal(), _Signal()
-        self._new: list[tuple[Rows, Rows]] = []  # since a block was complete
+        self._new: list[tuple[Rows, Rows]] = []  # speeds and battery since the last block
         self._zero_ns: int | None = None
-        self._start = 0.0  # s, from which the next block needs speed
+        self._start = 0.0  # s, first moment of speed that the next block needs
 
     @property
     def known(self) -> bool:
@@ -250,10 +253,10 @@ class LagLearner:
     def _end_block(self) -> None:
         period = max(self._speed.period(self._due), self._current.period(self._due))
         smooth, begin = max(SMOOTH, period), self._start
-        # Before the step may change: of rates that alternate each block ends later than the last.
+        # By the step before it may change, so that each block ends later than the last.
         self._start += BLOCK * self._step
         if math.isfinite(period) and not 0.5 < smooth / self._smooth < 2.0:
-            # Signals of another rate, as those of a polled log are known to be now.
+            # The rate changed, or that of a polled log is known only now: begin anew.
             self._smooth, self._step = smooth, max(STEP, round(period / STEPS_A_READING, 2))
             self.lag = None
             self._blocks.clear()
@@ -266,7 +269,7 @@ class LagLearner:
                 self.lag = replace(lag, least=LEAST_SHARE * self._smooth)
 
     def _block(self, begin: float) -> LagBlock | None:
-        """The complete block from a moment on; None where it has gaps or tells nothing."""
+        """The complete block from a moment on; None where it has gaps or steady speed."""
         smooth, length = self._smooth, BLOCK * self._step
         start = begin + MOST * self._step + smooth
         end = start + length
@@ -281,11 +284,11 @@ class LagLearner:
 
 
 class Alignment(NamedTuple):
-    """What is known of the lag.
+    """Alignment of the clocks of speed and battery.
 
     Attributes:
         lag: of this drive or of one before, None while unknown.
-        doubtful: whether it surely is large, and not taken out.
+        doubtful: whether a large lag surely remains after the shift.
     """
 
     lag: Lag | None
@@ -313,25 +316,25 @@ class Aligner:
 
     @property
     def saved(self) -> Lag | None:
-        """The known lag, of this drive or of an earlier one."""
+        """The known lag of this drive, else of earlier ones."""
         return self._learner.lag if self._learner.known else self._before
 
     @property
     def now(self) -> Alignment:
-        """What is known of the lag now."""
+        """The present alignment."""
         of_drive = self._learner.lag or self._before
         left = None if of_drive is None else of_drive.less(self.shift_ns / NANOSECONDS)
         return Alignment(self.saved or self._learner.lag, left is not None and left.large)
 
     def shifted(self, block: Block) -> Block:
-        """Readings by the clock of speed."""
+        """The block with battery stamps by the clock of speed."""
         rows = block.of_kind(BatteryReading)
         if not (self.shift_ns and len(rows.stamps)):
             return block
         return block.with_rows(BatteryReading, rows._replace(stamps=rows.stamps + self.shift_ns))
 
     def learn(self, block: Block) -> Iterator[tuple[int, Alignment]]:
-        """Learn from shifted readings; yields the stamps at which the known lag changes."""
+        """Learn from shifted readings; yields (stamp, alignment from then on) of each block."""
         battery = block.of_kind(BatteryReading)
         battery = battery._replace(stamps=battery.stamps - self.shift_ns)
         for stamp_ns in self._learner.extend(block.of_kind(SpeedReading), battery):

@@ -26,16 +26,16 @@ STATE_VERSION = 11
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """What happens in a part of a drive, in order of stamps.
+    """Samples of a part of a drive, to be predicted and learned from in order of stamps.
 
     Attributes:
-        newest: n newest moments, to be predicted.
-        newest_place: how many smoothed samples pass before each, shape (n,).
-        newest_learned: how many measured samples are learned from before each, shape (n,).
+        newest: n samples of the newest speeds, to be predicted.
+        newest_place: number of smoothed samples before each, shape (n,).
+        newest_learned: number of measured samples learned from before each, shape (n,).
         smoothed: m smoothed samples, to be predicted.
-        measured: k of these or of earlier ones, to learn from.
+        measured: k smoothed samples, of this span or earlier, to learn from.
         power: their battery power, W, shape (k,).
-        place: how many smoothed samples pass before each is learned from, shape (k,).
+        place: number of smoothed samples before each is learned from, shape (k,).
         battery_ns: stamp of the last battery reading up to each smoothed sample, `NEVER` before
             the first, shape (m,).
     """
@@ -50,7 +50,7 @@ class Span:
     battery_ns: np.ndarray
 
     def cut(self, count: int) -> tuple[Span, Span]:
-        """The span up to so many smoothed samples, and what follows them."""
+        """The span up to `count` smoothed samples, and the rest."""
         ends = (
             int(self.newest_place.searchsorted(count, side="right")),
             count,
@@ -60,7 +60,7 @@ class Span:
 
     @property
     def smoothed_learned(self) -> np.ndarray:
-        """How many measured samples are learned from before each smoothed one, shape (m,)."""
+        """Number of measured samples learned from before each smoothed one, shape (m,)."""
         counts: np.ndarray = self.place.searchsorted(np.arange(self.smoothed.size), side="right")
         return counts
 
@@ -102,7 +102,7 @@ class Predictions(NamedTuple):
 
 
 def joined_predictions(parts: Sequence[Predictions]) -> Predictions:
-    """Predictions of spans, one after another."""
+    """Concatenated predictions of consecutive spans."""
     if len(parts) == 1:
         return parts[0]
     return Predictions._make(map(np.concatenate, zip(*parts, strict=True)))
@@ -158,18 +158,15 @@ class Learner(Protocol):
         return ()
 
     def together(self, before: Sequence[EndedDrive]) -> Breakdowns | None:
-        """Energy of this drive and of others before it, as that of one; None where not known."""
+        """Breakdown of this drive and of others before it, summed; None where not known."""
         return None
 
     def breakdowns(self) -> Breakdowns | None:
-        """Energy of this drive, and of those kept before it, by where it went.
-
-        None where that is not known.
-        """
+        """Breakdowns of the drives that were kept, and of this one, last; None where not known."""
         return None
 
     def model(self) -> CarModel | None:
-        """The car as forecasts take it; None in the paper's mode."""
+        """The car for forecasts; None in `mode: paper`."""
         return None
 
     def report(self) -> LearnerReport:

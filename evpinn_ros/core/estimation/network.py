@@ -64,8 +64,8 @@ class Network(NamedTuple):
     Attributes:
         inner: weights of speed and force, shape (UNITS, 2).
         bias: shape (UNITS,).
-        outer: from units to the weights that are learned, shape (UNITS, NETWORK).
-        explained: share of the terms of eq. 21 in each of these, shape (4, NETWORK).
+        outer: from units to learned weights, shape (UNITS, NETWORK).
+        explained: share of the terms of eq. 21 in each learned weight, shape (4, NETWORK).
     """
 
     inner: np.ndarray
@@ -110,7 +110,7 @@ def orthogonal_network(
 
 
 def share_of_terms(driving: Driving, terms: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Coefficients of the terms that come nearest to powers, W, over driving; shape (4, k).
+    """Coefficients of the terms that fit k powers, W, over driving, shape (4, k).
 
     Least squares over time; terms are scaled, because they differ by powers of ten.
     """

@@ -17,15 +17,16 @@ Output: TypeAlias = PowerEstimate | ParameterSet
 
 
 class PowerRows(NamedTuple):
-    """`PowerEstimate` of n moments in their order as columns of shape (n,), NaN where unknown.
+    """`PowerEstimate` of n moments in order, as columns of shape (n,).
 
     Attributes:
         known_ns: stamp of the reading that completed each.
         stamp_ns: their moments.
         power: W.
         sigma: its 1-sigma, W.
-        energy: predicted since the battery was last measured, J; else the integral of `power`.
-        energy_sigma: its 1-sigma, J; else it is guessed from `sigma`.
+        energy: predicted since the battery was last measured, J; if NaN, the meter integrates
+            `power`.
+        energy_sigma: its 1-sigma, J; if NaN, the meter integrates `sigma`.
     """
 
     known_ns: np.ndarray
@@ -39,7 +40,7 @@ class PowerRows(NamedTuple):
     def of(
         cls, known_ns: np.ndarray, stamp_ns: np.ndarray, power: np.ndarray, sigma: np.ndarray
     ) -> PowerRows:
-        """Powers without energies of a dropout."""
+        """Powers, with NaN as energies."""
         unknown = np.full(len(power), np.nan)
         return cls(known_ns, stamp_ns, power, sigma, unknown, unknown)
 
@@ -60,8 +61,8 @@ class Learned(NamedTuple):
         known_ns: stamp of the speed that ended the second.
         parameters: of the car.
         report: changes of payload and suspicions.
-        model: the car as forecasts take it; None in the paper's mode.
-        breakdown: energy of this drive, None where it was not asked for.
+        model: the car for forecasts; None in `mode: paper`.
+        breakdown: of the energy of this drive, None if it was not asked for.
     """
 
     known_ns: int
@@ -76,8 +77,8 @@ class Outputs(NamedTuple):
 
     Attributes:
         measured: power of the battery readings, in order of arrival.
-        predicted: at the newest moments, by causal acceleration.
-        smoothed: at the moments `smoothing_lag` back.
+        predicted: at the newest speeds, by causal acceleration.
+        smoothed: at the smoothed samples, `smoothing_lag` back.
         learned: once a second.
     """
 
@@ -104,7 +105,7 @@ class Outputs(NamedTuple):
 
 
 def joined_outputs(parts: Sequence[Outputs]) -> Outputs:
-    """Outputs of parts of a block, one after another."""
+    """Concatenated outputs of consecutive parts of a block."""
     if len(parts) < 2:
         return parts[0] if parts else Outputs()
     measured, predicted, smoothed = (

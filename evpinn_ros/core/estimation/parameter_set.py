@@ -1,4 +1,4 @@
-"""From the posterior to what is published: values, bounds, shares and trust."""
+"""Makes the published set of parameters from their posterior: values, bounds, shares, trust."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ RESTS_ON = {
 }
 BOUND_SIGMAS = 2.0
 INTERVAL = (0.025, 0.975)  # of the posterior of parameters that cannot exceed 1
-STAYS_BELOW = 1.6  # times the limit of a share, up to which a status stays
-OWN_STAYS_BELOW = 1.1  # times the limit of its own share, likewise
+STAYS_BELOW = 1.6  # times the limit of a combination's share, up to which a status stays
+OWN_STAYS_BELOW = 1.1  # times the limit of the parameter's own share, up to which a status stays
 TYRES = Limits(0.004, 0.02)  # C_rr of tyres on roads
 # Values of real cars; outside, a parameter is never valid.
 POSSIBLE = {"c_rr": TYRES, "c_d": Limits(0.15, 1.0), "eta": Limits(0.0, 0.995)}
@@ -49,7 +49,7 @@ class _Combined(NamedTuple):
 
 
 def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
-    """Everything that is known of the parameters."""
+    """Values, bounds, shares and trust of all parameters and combinations."""
     combined = _combined(source)
     parameters = {}
     for index, name in enumerate(PARAMETER_NAMES):
@@ -61,11 +61,11 @@ def parameter_set(stamp_ns: int, source: Published) -> ParameterSet:
         if index == MU and not source.regenerates:
             share, std = 1.0, max(std, value * math.sqrt(before))
         possible = _possible(name, value, hills_seen=source.hills_seen)
-        possible = possible and bounds.lower < value < bounds.upper  # else the bound is told
-        possible = possible and (index == P_AUX or std <= MOST_UNSURE * value)  # which may be 0
+        possible = possible and bounds.lower < value < bounds.upper  # else the value is a bound
+        possible = possible and (index == P_AUX or std <= MOST_UNSURE * value)  # p_aux may be 0
         parameters[name] = ParameterEstimate(
             value=float(np.clip(value, bounds.lower, bounds.upper)),
-            std=min(std, LIMITS[name].upper - LIMITS[name].lower),  # which any value lies within
+            std=min(std, LIMITS[name].upper - LIMITS[name].lower),
             prior_share=share,
             lower=bounds.lower,
             upper=bounds.upper,
@@ -236,5 +236,5 @@ def _possible(name: str, value: float, *, hills_seen: bool) -> bool:
 
 def _progress(combined_share: float) -> float:
     """Percent of the way from prior to valid, in the logarithm of the variance left."""
-    done = math.log(max(combined_share, 1e-12)) / math.log(VALID_BELOW)
-    return 100.0 * min(1.0, max(0.0, done))
+    share = math.log(max(combined_share, 1e-12)) / math.log(VALID_BELOW)
+    return 100.0 * min(1.0, max(0.0, share))

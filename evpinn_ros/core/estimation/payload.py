@@ -41,7 +41,7 @@ class Payload:
     """Load of this drive against that of the drive before.
 
     Attributes:
-        before: of the drive before; None before the second.
+        before: load of the drive before; None in the first drive.
         begin_ns: stamp of this drive's begin, None before its first interval.
         change: of this drive, None while it is within chance.
     """
@@ -57,12 +57,12 @@ class Payload:
         if self.before is not None:
             now = load_of(state, equation)
             more, std = now.mass - self.before.mass, math.hypot(now.std, self.before.std)
-            there = ANOTHER_LOAD.judge(change is not None, abs(more) / std, state.seconds)
-            change = PayloadChange(begin_ns, more, std) if there else None
+            differs = ANOTHER_LOAD.judge(change is not None, abs(more) / std, state.seconds)
+            change = PayloadChange(begin_ns, more, std) if differs else None
         return Payload(self.before, begin_ns, change)
 
     def next_drive(self, state: CarState, equation: Equation) -> Payload:
-        """At the begin of another drive."""
+        """The payload at the begin of another drive."""
         return Payload(load_of(state, equation)) if state.intervals else Payload(self.before)
 
 

@@ -1,11 +1,11 @@
 """Corrects predicted power by the error at the newest battery reading, which decays in 0.3 s.
 
 The trim (`estimation.trim`) uses data up to the watermark, some tenths of a second ago. Errors of
-neighbouring samples are alike: 64 to 86 % of an error is left after 0.1 s. So `power/predicted`
-adds the error at the newest battery reading before its sample, with the decay of an
-Ornstein-Uhlenbeck process. Two weights, which begin at 0, correct how much of the error is left
-and how much the change of the prediction since then is worth. Recursive least squares learns them
-at every battery reading from the one before it.
+neighbouring samples are correlated: 64 to 86 % of an error is left after 0.1 s. So
+`power/predicted` adds the error at the newest battery reading before its sample, with the decay of
+an Ornstein-Uhlenbeck process. Two weights, which begin at 0, correct this decay and scale the
+change of the prediction since then. Recursive least squares learns them at every battery reading
+from the one before it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from evpinn_ros.core.signals.readings import NANOSECONDS
 DECAY = 0.3  # s
 FORGOTTEN = 10.0 * DECAY  # s
 OUTLIER = 3.0  # sigmas beyond which an error counts for no more
-MOST_KEPT = 500  # predictions, which battery readings may lie between
-LEAST_SIGMA = 0.2  # of that of the prediction: a sensor and its stamp err too
-FADING = 100.0  # s in which the weights forget
+MOST_KEPT = 500  # predictions, to interpolate at battery readings
+LEAST_SIGMA = 0.2  # share of the prediction's sigma that is left: sensor and stamp err too
+FADING = 100.0  # s, time constant with which the weights return to 0
 
 
 class Persistence:
@@ -42,7 +42,7 @@ class Persistence:
             power: predicted, W.
             sigma: its 1-sigma, W.
             told_ns: stamp of the newest battery reading before the sample, ns.
-            told: its power, W, NaN where there is none to go by.
+            told: its power, W, NaN if there is none or it is not to be used.
         """
         self._latest.append((stamp_ns, power))
         age = (stamp_ns - told_ns) / NANOSECONDS
@@ -57,7 +57,7 @@ class Persistence:
         return max(power + given, min(power, told, 0.0)), sigma * share
 
     def _learn(self, told_ns: int, then: float, seen: float, error: float, sigma: float) -> None:
-        """Learn from the error of a battery reading what the one before it left of its own."""
+        """Learn the weights from the error of a battery reading and that of the one before."""
         before, self._told = self._told, (told_ns, then, error)
         if before is None or before[0] == told_ns:
             return
@@ -66,7 +66,7 @@ class Persistence:
         self._weights.learn(*_terms(age, before[2], then - before[1]), seen - left, sigma, age)
 
     def _predicted_at(self, moment_ns: int) -> float:
-        """Power that was predicted at a moment between the latest, W, on a straight line."""
+        """Predicted power at a moment, W, interpolated between the latest predictions."""
         end_ns, power = self._latest[-1]
         for place in range(len(self._latest) - 2, -1, -1):
             begin_ns, before = self._latest[place]
@@ -77,15 +77,15 @@ class Persistence:
 
 
 def _terms(age: float, error: float, change: float) -> tuple[float, float]:
-    """What is weighed, W, so many s after an error: none at once, and none when all is decayed."""
+    """The two terms that are weighted, W, at an age, s, of an error, with which both decay."""
     kept = math.exp(-age / DECAY)
     return kept * age / DECAY * error, kept * change
 
 
 class _Weights:
-    """Two weights and their covariance; before anything is learned each is 0, known to 1.
+    """Two weights and their covariance; each begins at 0 with a variance of 1.
 
-    By numbers: arrays of two would take ten times as long.
+    Scalars, because arrays of two would take ten times as long.
     """
 
     def __init__(self) -> None:
@@ -93,11 +93,11 @@ class _Weights:
         self._var_first, self._shared, self._var_second = 1.0, 0.0, 1.0
 
     def of(self, first: float, second: float) -> float:
-        """Sum of two terms, weighed."""
+        """Weighted sum of two terms."""
         return self._first * first + self._second * second
 
     def learn(self, first: float, second: float, seen: float, sigma: float, passed: float) -> None:
-        """Learn from what was seen of two terms, with its 1-sigma, so many s after the last."""
+        """Learn from a measured sum of two terms, with its 1-sigma, `passed` s after the last."""
         left = math.exp(-passed / FADING)
         fresh = 1.0 - left**2
         self._first, self._second = left * self._first, left * self._second

@@ -57,13 +57,13 @@ EVIDENCE_KEPT = 400.0  # intervals over which the hypotheses are judged
 SCALE_INTERVALS = 30.0  # over which a scale of the noise is learned
 LEAST_SCALE, MOST_SCALE = 0.05, 2000.0
 OUTLIER = 2.5  # sigmas
-SPARSE = 2.0  # s between speeds from which on driving between them is not seen
+SPARSE = 2.0  # s between speeds from which on driving between them is unknown
 
 DRIFT = 0.02  # share of its prior sigma by which a state of the car changes between drives
-# Share of an offset that the next drive keeps: of season and roof box; of people.
+# Share of an offset that the next drive keeps: season and roof box last, people change.
 DRIVE_KEPT = {State.ROLLING_DRIVE: 0.9, State.MASS_DRIVE: 0.0, State.LOAD_DRIVE: 0.9}
-LOSS_SHOWN = 100.0  # s of a drive in which its offsets show a third of `LOSS_DRIVE`
-PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # drives that the prior of an offset counts as; at most
+LOSS_SHOWN = 100.0  # s of a drive after which 1/e of the variance of `LOSS_DRIVE` is left
+PRIOR_DRIVES, DRIVES_KEPT = 4.0, 30.0  # drives that an offset's prior counts as; most drives
 MOST_EVIDENCE = 1e15
 Seconds: TypeAlias = Annotated[float, Range(0.0, 1e9)]
 Celsius: TypeAlias = Annotated[float, Range(*TEMPERATURES)]
@@ -81,12 +81,12 @@ class CarState:
         scale: of the noise, by its kinds, shape (K, 3).
         offset_variance: of `OFFSETS` from drive to drive, shape (len(OFFSETS),).
         bands: scales of predicted energies by rehearsals.
-        drives: how many `offset_variance` rests on.
-        intervals: learned from in this drive.
-        seconds: of this drive.
-        celsius: temperature outside, the last known, or None.
-        known: whether a drive was learned from before this one.
-        last_drive: s of the drive before.
+        drives: number of drives that `offset_variance` rests on.
+        intervals: number learned from in this drive.
+        seconds: length of this drive, s.
+        celsius: last known temperature outside, degrees Celsius, or None.
+        known: whether a drive before this one was learned from.
+        last_drive: length of the drive before, s; 0 if unknown.
         names: of the states.
     """
 
@@ -154,11 +154,11 @@ class CarState:
         return self.bands.drive.scale if self.known else 1.0
 
     def with_gaussian(self, now: Gaussian, **others: Any) -> CarState:
-        """The state with another mean and covariance, and other values of these fields."""
+        """The state with another mean and covariance, and with these fields replaced."""
         return replace(self, mean=now.mean, covariance=now.covariance, **others)
 
     def forgetting(self, variances: Mapping[State, Any]) -> CarState:
-        """The state with some states at zero, with these variances."""
+        """The state with some entries set to zero, uncorrelated, with these variances."""
         return self.with_gaussian(replace_states(self.gaussian, variances))
 
 
@@ -170,12 +170,12 @@ class Residual(NamedTuple):
 
 
 class IntervalTerms(NamedTuple):
-    """An interval by the equation of a car.
+    """Terms of an interval by the equation of a car.
 
     Attributes:
-        interval: what was driven.
-        wheels: work of the prior car in its steps.
-        rows: of these, shape (n, SIZE).
+        interval: of n steps.
+        wheels: work of the prior car in the steps.
+        rows: energy of the steps by state, J per unit, shape (n, SIZE).
         journey: their sum.
         warmth: of tyres and cabin.
     """
@@ -205,7 +205,7 @@ def initial_state(equation: Equation) -> CarState:
 
 
 def interval_terms(equation: Equation, interval: Interval, seconds: float) -> IntervalTerms:
-    """An interval by the equation of a car, so many s after the start of a drive."""
+    """The terms of an interval that begins `seconds` after the start of a drive."""
     warmth = Warmth.after(seconds)
     wheels = equation.of_steps(interval.steps, interval.conditions)
     rows = equation.rows(interval.steps, interval.conditions, warmth, wheels)
@@ -226,8 +226,8 @@ def learn(state: CarState, equation: Equation, terms: IntervalTerms) -> tuple[Ca
 def _sampling_variance(state: CarState, terms: IntervalTerms) -> float:
     """Variance of the energy of an interval due to the rate of its readings, J^2.
 
-    Of a log with seconds between its rows it is that of the predicted power. By the measured one
-    an interval that missed a burst of power would be trusted, and one that caught it doubted.
+    In a log with seconds between its rows it follows from predicted power. By measured power, an
+    interval that missed a burst of power would be trusted, and one that caught it doubted.
     """
     duration = terms.interval.steps.duration
     step = float(np.median(duration))
@@ -266,16 +266,16 @@ def update(
 ) -> tuple[CarState, Residual]:
     """Learn from the energy, J, of a journey that has just passed (`advance` first).
 
-    `sampling` is its variance due to the rate of its readings, J^2.
+    `sampling` is the variance of the energy due to the rate of its readings, J^2.
     """
     row = journey.row.copy()
     # Where the motor's energy is known, it includes the climb.
     climbs = 0.0 if journey.noise[2] else 1.0
     row[State.LOAD], row[State.LOAD_ENERGY], row[State.CLIMB] = 0.0, 1.0, climbs
     row[State.LOSS_DRIVE] = 0.0  # not separable within a drive; it counts for whole drives
-    own = state.scale * journey.noise
-    state, seen = _see(state, row, energy - state.mean @ row, own.sum(1) + sampling)
-    state = _judge(state, seen, own)
+    noise = state.scale * journey.noise
+    state, seen = _see(state, row, energy - state.mean @ row, noise.sum(1) + sampling)
+    state = _judge(state, seen, noise)
     weights = state.weights
     mean = float(weights @ seen.residual)
     variance = float(weights @ (seen.variance + (seen.residual - mean) ** 2))
@@ -344,7 +344,7 @@ def _see(
 
 
 def _judge(state: CarState, seen: Innovation, noise: np.ndarray) -> CarState:
-    """Weigh the hypotheses by their evidence, and learn the scale of the dominant noise."""
+    """Update the evidence of the hypotheses, and the scale of the dominant kind of noise."""
     square = seen.residual**2 / seen.variance
     likelihood = -0.5 * (np.minimum(square, 2 * OUTLIER**2) + np.log(seen.variance))
     evidence = state.evidence * (1.0 - 1.0 / EVIDENCE_KEPT) + likelihood

@@ -1,4 +1,4 @@
-"""From the states of a car to the parameters of eq. 12-21: one projection of what was learned.
+"""Projects the states of a car on the parameters of eq. 12-21, which are published.
 
 The posterior holds more than eq. 21: a network, heat by force squared, a drivetrain that turns.
 The published parameters are the least-squares fit of eq. 21 to the learned power over all driving
@@ -8,10 +8,10 @@ separates drag from rolling, so what the network learned there would be publishe
 and less drag. `REFERENCE_SECONDS` of a reference drive, over which the network holds nothing of
 eq. 21, are therefore added to the driving.
 
-C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load. Over road
-without heights a climb looks like rolling resistance and drag, so their sigmas include the climb
-that such a road may have. If rehearsed dropouts of the drive err by more than predicted, all
-sigmas grow accordingly, up to those before any drive.
+C_rr is that of this drive, with its cold and its tyres; p_aux is the standing load. On a road
+without heights, a climb looks like rolling resistance and drag, so their sigmas include the climb
+that such a road may have. If the errors of rehearsed dropouts exceed their sigma, all sigmas grow
+accordingly, up to those before any drive.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ NOISE_DENSITY = 2.7e5
 # By likelihood of the parameters of 72 simulated drives that no benchmark scores.
 REFERENCE_SECONDS = 200.0
 SHARE_RANGE = (0.3, 3.0)  # of braking energy over that of the prior; no car is outside
-FIRST_METRES = 1000.0  # of a drive, judged by the road of the drive before
-LEAST_RETURNED = 0.01  # of braking energy; an offset of the current may give as much
+FIRST_METRES = 1000.0  # that the road of the drive before counts as
+LEAST_RETURNED = 0.01  # share of braking energy; an offset of the current may give as much
 BRAKED_FLOOR = 5e4  # J of braking; less gives no share
 # An efficiency is a map, so a single number depends on the road: least 1-sigma of the logarithm,
 # however much is learned. By likelihood of 72 simulated drives that no benchmark scores.
@@ -58,7 +58,7 @@ LOGARITHMIC = [ETA, MU, MASS, C_D]
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """Driving of a car so far, as sums over its steps, over which `project` goes.
+    """Sums over the steps of all driving of a car, for `project`.
 
     Attributes:
         gram: products of the terms of eq. 21 over the duration, J^2/s per units, shape (4, 4).
@@ -69,9 +69,9 @@ class Driven:
         load_known: whether the car reports its heating.
         unseen: share of the distance where no height was known; until a drive begins to move,
             that of the drive before.
-        returned: energy that went back into the battery, J, forgotten as `braked` is; None where
-            it was not looked at.
-        names: those of the columns of `cross`.
+        returned: energy that went back into the battery, J, forgotten as `braked` is; None if
+            unknown.
+        names: of the states of `cross`.
     """
 
     gram: Annotated[np.ndarray, Range(-1e30, 1e30, shape=(4, 4))]
@@ -90,7 +90,11 @@ class Driven:
         return cls(np.zeros((4, 4)), np.zeros((4, len(BESIDE))), np.zeros(3), returned=0.0)
 
     def of_this_version(self) -> Driven:
-        """Driving that was saved, with zeros for a state that the file lacks; ValueError."""
+        """Saved driving in the states of this version; those that the file lacks have zeros.
+
+        Raises:
+            ValueError: numbers are missing.
+        """
         if self.cross.shape != (4, len(self.names)):
             raise ValueError("numbers of the driving are missing")
         theirs, ours = known_names(self.names)
@@ -99,7 +103,7 @@ class Driven:
         return replace(self, cross=columns[:, BESIDE], names=Driven.nowhere().names)
 
     def plus(self, terms: IntervalTerms) -> Driven:
-        """The sums with one more interval; with motor torque its rows differ, so only the way."""
+        """The sums with one more interval; of one with motor torque, distances alone."""
         interval, wheels = terms.interval, terms.wheels
         now = self._farther(abs(interval.distance), float(terms.warmth.tyres), unseen_of(interval))
         if interval.steps.motor_known:
@@ -136,12 +140,12 @@ class Driven:
         return replace(self, distance=0.0, cold_tyres=0.0)
 
     def share(self, equation: Equation) -> np.ndarray:
-        """What the terms of eq. 21 explain of one unit of each of `BESIDE`, (4, len(BESIDE))."""
+        """Share of the terms of eq. 21 in one unit of each of `BESIDE`, shape (4, len(BESIDE))."""
         gram = self.gram + REFERENCE_SECONDS * equation.reference_gram
         return project(gram, self.cross, equation)
 
     def braked_share(self, equation: Equation, terms: np.ndarray) -> float:
-        """Braking energy of the prior car over that of a car with these terms, shape (3,)."""
+        """Braking energy of the prior car over that of a car with these terms, kept to a range."""
         before = -float(self.braked @ equation.mean[PHYSICS[:3]])
         braked_energy = -float(self.braked @ terms)
         if min(before, braked_energy) < BRAKED_FLOOR:
@@ -155,9 +159,9 @@ class Driven:
 
 
 def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarray:
-    """Changes of the coefficients of eq. 21 that come nearest to energies, shape (4, k).
+    """Changes of the coefficients of eq. 21 that fit k energies, shape (4, k).
 
-    Least squares of power with the prior of the coefficients, beside noise of `NOISE_DENSITY`:
+    Least squares of power with the prior of the coefficients and noise of `NOISE_DENSITY`:
     coefficients that the driving does not determine (drag in town) stay at their prior.
 
     Args:
@@ -175,8 +179,12 @@ def project(gram: np.ndarray, cross: np.ndarray, equation: Equation) -> np.ndarr
 class Published(NamedTuple):
     """The six parameters, eta, mu, mass and C_d as logarithms, now and before any drive.
 
-    `frontal_area` is in m^2; `hills_seen` says if the heights of most of the road are known, and
-    `regenerates` if any energy came back, without which mu is not seen.
+    Attributes:
+        now: by all that was learned.
+        prior: before any drive.
+        frontal_area: m^2.
+        hills_seen: whether the heights of most of the road are known.
+        regenerates: whether any energy came back; otherwise mu is not observed.
     """
 
     now: Gaussian
@@ -200,8 +208,8 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
     share = driven.unseen or 0.0
     climb = share * climb_as_rolling(share * driven.distance)  # C_rr is of the whole drive
     for index, std in ((C_RR, climb), (C_D, climb / CLIMB_AS_DRAG)):
-        own, widest = (float(gaussian.covariance[index, index]) for gaussian in (now, before))
-        now.covariance[index, index] = max(own, min(own + std**2, widest))
+        variance, widest = (float(gaussian.covariance[index, index]) for gaussian in (now, before))
+        now.covariance[index, index] = max(variance, min(variance + std**2, widest))
     return Published(
         now,
         before,
@@ -212,9 +220,9 @@ def published(state: CarState, equation: Equation, driven: Driven) -> Published:
 
 
 def _prior(state: CarState, equation: Equation) -> Gaussian:
-    """The states before any drive, with the network that the car may have by what is known now.
+    """The states before any drive, with the present evidence of the hypotheses.
 
-    So learning only shrinks it.
+    So learning only shrinks the covariance.
     """
     return replace(initial_state(equation), evidence=state.evidence).mixture()
 
@@ -222,7 +230,8 @@ def _prior(state: CarState, equation: Equation) -> Gaussian:
 def evidence_of(state: CarState, equation: Equation, driven: Driven) -> Evidence:
     """Likelihood of the published parameters without their prior, in sigmas of the vehicle file.
 
-    That prior is wider than the file: what eq. 21 leaves out is part of the published parameters.
+    Their prior is wider than the file: terms that eq. 21 leaves out are part of the published
+    parameters.
     """
     whole, prior = state.mixture(), _prior(state, equation)
     celsius = None if driven.load_known else state.celsius
@@ -254,7 +263,7 @@ def _pushed(
 def _linear(
     mean: np.ndarray, equation: Equation, driven: Driven, celsius: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The six parameters by the mean of the states, and their gradients, shape (6, SIZE)."""
+    """The six parameters at a mean of the states, and their gradients, shape (6, SIZE)."""
     state = np.eye(SIZE)
     theta = state[PHYSICS]
     theta[:, BESIDE] = driven.share(equation)

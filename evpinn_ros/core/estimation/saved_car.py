@@ -22,11 +22,11 @@ def saved_state(state: CarState) -> CarState:
 
 
 def state_of(saved: CarState, equation: Equation) -> CarState:
-    """The state that was saved; a state that the file lacks is at its prior.
+    """The state that was saved; entries that the file lacks are at their prior.
 
     Raises:
-        ValueError: no drive leaves such a state: numbers are missing, it is no Gaussian, or the
-            car is far from the prior of its vehicle file.
+        ValueError: numbers are missing, the state is no Gaussian, or the car is farther from the
+            prior of its vehicle file than any drive leads.
     """
     fresh = initial_state(equation)
     count, size = len(fresh.mean), len(saved.names)
@@ -39,8 +39,8 @@ def state_of(saved: CarState, equation: Equation) -> CarState:
     mean, covariance = fresh.mean.copy(), fresh.covariance.copy()
     covariance[:, ours, :] = covariance[:, :, ours] = 0.0
     mean[:, ours] = np.reshape(saved.mean, (count, size))[:, theirs]
-    own = np.reshape(saved.covariance, (count, size, size))
-    covariance[:, np.array(ours)[:, None], ours] = own[:, np.array(theirs)[:, None], theirs]
+    square = np.reshape(saved.covariance, (count, size, size))
+    covariance[:, np.array(ours)[:, None], ours] = square[:, np.array(theirs)[:, None], theirs]
     gaussian = Gaussian(mean, covariance)
     prior = np.sqrt(np.diagonal(fresh.covariance, axis1=1, axis2=2))[:, LASTING]
     away = np.abs(mean - fresh.mean)[:, LASTING] / np.maximum(prior, 1e-9)

@@ -1,11 +1,11 @@
 """Vehicles of another size than a passenger car: learned as the car that is similar to them.
 
 The one equation (`estimation.terms`) is linear in energy: with mass, drag area and loads times k
-the energy of the same driving is k times as much. So what is known of cars in W, N, J and kg (the
-priors of loads, noise, the thresholds of detectors) holds for a robot of 60 kg as well, once its
-energies are multiplied by the mass of a car over its own. `Similarity` does that at both ends of
-the estimator: to readings on the way in, to estimates on the way out. Between them everything is a
-car. Speeds and accelerations stay as they are.
+the energy of the same driving is k times as much. So priors of loads, noise and thresholds of
+detectors, all of cars in W, N, J and kg, hold for a robot of 60 kg as well, once its energies are
+multiplied by the mass of a car over its own. `Similarity` scales readings on the way into the
+estimator and estimates on the way out; in between everything is a car. Speeds and accelerations
+stay as they are.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Similarity:
         )
 
     def model(self, model: CarModel) -> CarModel:
-        """The car as forecasts take it, with the equation of the vehicle."""
+        """The model of the car, scaled to the vehicle."""
         if self.size == 1.0:
             return model
         return replace(
@@ -104,7 +104,7 @@ class Similarity:
         )
 
     def breakdowns(self, breakdowns: Breakdowns) -> Breakdowns:
-        """Energies of drives by part."""
+        """Breakdowns of the car, scaled to the vehicle."""
         drives = (_scaled(parts, self.size, "measured") for parts in breakdowns.drives)
         square = self.size**2
         return Breakdowns(
@@ -114,7 +114,7 @@ class Similarity:
         )
 
     def report(self, report: LearnerReport) -> LearnerReport:
-        """Changes of payload, in kg of the vehicle."""
+        """A report on the car, with the change of payload scaled to the vehicle."""
         change = report.payload_change
         if change is None:
             return report
@@ -134,7 +134,7 @@ def _scaled(value: Value, size: float, *fields: str) -> Value:
 
 
 def model_of_file(vehicle: Vehicle, seed: int = 0) -> CarModel:
-    """The car of a vehicle file, of which nothing was learned yet."""
+    """The model of a vehicle file, before anything is learned."""
     similarity = Similarity(vehicle)
     equation = equation_of(similarity.car, seed)
     return similarity.model(initial_state(equation).model(equation))

@@ -2,10 +2,10 @@
 
 `generic` is a passenger car of two tonnes. Battery energy of intervals of ten seconds is linear in
 kinetic energy gained and lost, distance, the cube of the speed and time, and each coefficient
-scales with the size of the vehicle (`estimation.size`). So for each size there is a Gaussian prior
-of the coefficients, with a likelihood. Passenger cars have sizes near 1 and are alike; others have
-any size and shape. Only if the data contradict every such car does a vehicle of another size take
-its place.
+scales with the size of the vehicle (`estimation.size`). So each size gives a Gaussian prior of the
+coefficients, and the data a likelihood of each size. Passenger cars have sizes near 1 and similar
+coefficients; other vehicles have any size and shape. A vehicle of another size takes the place of
+`generic` only if the data contradict every passenger car.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ LONGEST_DRIVE = 100_000  # s, beyond which stamps are wrong
 LEAST_INTERVALS = 18
 CAR_INTERVALS = 36  # after which a passenger car is believed to be one
 MOST_INTERVALS, MOST_READINGS = 180, 300_000  # after which the size is settled
-FIRST_LOOK_NS, LATER_LOOK = 240 * NANOSECONDS, 1.2  # into a drive; the next over that
+FIRST_LOOK_NS, LATER_LOOK = 240 * NANOSECONDS, 1.2  # first look into a drive; next over last
 LIKELY = math.log(1e3)  # log odds from which on another size is taken
-# From the car. Nearer ones (vans, city cars, three-wheelers of 800 kg) are within reach of its
-# priors: a three-wheeler of 800 kg that was taken for one of 107 kg gained on whole drives (CRPS
-# 13.7 to 11.3) what it lost on 200 s (8.9 to 11.7).
+# Distance of the logarithm from a car. Nearer vehicles (vans, city cars, three-wheelers of 800 kg)
+# are within reach of its priors: a three-wheeler of 800 kg that was taken for one of 107 kg gained
+# on whole drives (CRPS 13.7 to 11.3) what it lost on 200 s (8.9 to 11.7).
 FAR = math.log(3.5)
 SURE = 0.5  # 1-sigma of the logarithm; more is two sizes at once, early in a drive
-ALIKE = 4.0  # neighbouring intervals of which one counts: their errors are alike
+ALIKE = 4.0  # neighbouring intervals that count as one, because their errors are correlated
 NOISE_FLOOR = 0.05  # of the root mean square energy of an interval
-# Terms: kinetic energy gained, lost, weight times distance, drag, time. Of a car of two tonnes,
-# priors of `generic` with eta 0.88; the second is energy given back.
+# Coefficients of a car of two tonnes, by `generic` with eta 0.88: kinetic energy gained, kinetic
+# energy lost (given back), weight times distance, drag, time.
 CAR = np.array([2318.0, -1400.0, 18.0, 0.90, 500.0])
-CAR_SHARE = np.array([0.15, 0.5, 0.4, 0.35, 6.0])  # 3 kW of heating, say
-CAR_STD = 0.28  # of the logarithm of its size
-# Of robots, three-wheelers, trucks and buses; the wings of race cars of 300 kg drag like vans.
+CAR_SHARE = np.array([0.15, 0.5, 0.4, 0.35, 6.0])  # relative 1-sigma; 3 kW of heating, say
+CAR_STD = 0.28  # 1-sigma of the logarithm of a car's size
+# Relative 1-sigma of robots, three-wheelers, trucks, buses, and race cars, whose wings drag.
 ANY_SHARE = np.array([0.3, 1.0, 0.8, 2.0, 1.5])
 DRAG, TERMS = 3, len(ANY_SHARE)
 MOST_ENERGY = 1e12  # J of an interval
@@ -93,7 +93,7 @@ class Intervals(NamedTuple):
 
     @staticmethod
     def of_drives(drives: list[Intervals]) -> Intervals:
-        """The intervals of drives of one vehicle; the voltage is that of the newest with any."""
+        """The intervals of drives of one vehicle, with the voltage of the newest that has any."""
         rows, energy, volts = zip(*drives, strict=True)
         measured = [volt for volt in volts if not math.isnan(volt)]
         newest = (math.nan, *measured)[-1]
@@ -101,7 +101,7 @@ class Intervals(NamedTuple):
 
 
 class Sizing:
-    """Looks for the size of a vehicle during its first drives, until they tell it.
+    """Estimates the size of a vehicle during its first drives, until it is settled.
 
     Attributes:
         blocks: of the drive so far.
@@ -133,7 +133,7 @@ class Sizing:
         return Intervals.of_drives([*self._earlier, _intervals(joined(self.blocks))])
 
     def due_ns(self, block: Block) -> int:
-        """First stamp in a block, in order of stamps, from which to `look`; `LATER` if none is."""
+        """First stamp in a block, in order of stamps, at which to `look`; `LATER` if none."""
         stamps = block.stamps()
         if self._begin_ns is None and len(stamps):
             self._begin_ns = int(stamps[0])
@@ -157,7 +157,7 @@ class Sizing:
 
 
 def size_of(intervals: Intervals) -> Size | None:
-    """Size of a vehicle by a drive; None while that does not determine it."""
+    """Size of a vehicle by its intervals; None while they are few."""
     rows, energy, volts = intervals
     if len(energy) < LEAST_INTERVALS:
         return None
@@ -186,7 +186,7 @@ def _log_mean(scores: np.ndarray, weights: np.ndarray) -> float:
 
 
 def _shaped(size: float) -> np.ndarray:
-    """Coefficients over the size."""
+    """Coefficients of a vehicle of this size, over the size."""
     coefficients = CAR.copy()
     coefficients[DRAG] *= size ** (AREA_POWER - 1.0)
     return coefficients

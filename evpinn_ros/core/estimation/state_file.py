@@ -46,7 +46,7 @@ class Half(str, Enum):
 
 
 LOCK = ".evpinn-lock-"
-"""Begin of a lock's name: as short as that, for the file's own name may be as long as can be."""
+"""Begin of a lock's name; a checksum follows, because the file's name may be of full length."""
 KEYS = {half.value for half in Half}
 REMEDY = "give another file, or rename this one: the car is then learned anew"
 
@@ -131,7 +131,7 @@ def write_halves(path: Path, halves: Mapping[Half, State]) -> None:
 
 
 def append_half(path: Path, half: Half, state: State) -> None:
-    """Append the state of a half to a file that `write_halves` wrote; the newest counts.
+    """Append the state of a half to a file that `write_halves` wrote; the last one counts.
 
     Raises:
         OSError: as of `write_halves`.
@@ -142,10 +142,10 @@ def append_half(path: Path, half: Half, state: State) -> None:
 
 
 def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
-    """One half of a state file.
+    """Read one half of a state file.
 
     Returns:
-        the half, None when there is none; and a line when the file holds the other half alone.
+        the half, None when there is none; and a message if the file holds the other half alone.
 
     Raises:
         InputError: the file cannot be read or is not a state; the text has file and reason.
@@ -162,7 +162,7 @@ def read_half(path: Path, half: Half) -> tuple[State | None, str | None]:
 
 @contextmanager
 def read_for_a_person(path: Path) -> Iterator[None]:
-    """Add to the refusal of a state what to do; nodes go on without one themselves."""
+    """Add a remedy to errors of a state, for commands; nodes go on without the state."""
     try:
         yield
     except (InputError, ValueError) as error:
@@ -205,10 +205,10 @@ def set_aside(path: Path, *, copied: bool = False) -> None:
     It may be another car's. If only one half is refused, the file is copied and the other goes on.
 
     Raises:
-        OSError: it is a folder or a device, which stays.
+        OSError: it is not a regular file, and stays.
     """
     if not path.is_file():
-        raise OSError(0, "a folder or a device, not a file", str(path))
+        raise OSError(0, "not a regular file", str(path))
     first, *_ = names = refused_names(path)
     for older, newer in pairwise(reversed(names)):
         if newer.exists():
@@ -227,10 +227,10 @@ def refused_names(path: Path) -> list[Path]:
 
 
 def _with_appended(text: str) -> dict[str, Any]:
-    """The JSON at the begin of a text, with the halves that lines behind it hold.
+    """The JSON at the begin of a text, updated by the halves on the lines behind it.
 
     Raises:
-        ValueError: it is no state, or a line before the last is none.
+        ValueError: the JSON, or a line before the last, is not a state.
     """
     content, end = _DECODER.raw_decode(text, len(text) - len(text.lstrip()))
     behind = text[end:].rstrip("\0\n")  # a loss of power leaves NUL bytes
@@ -271,13 +271,13 @@ def _halves(content: State, asked: Half) -> dict[str, Any]:
 
 
 def _finite(digits: str) -> float:
-    """The number; 1e999 would be infinite."""
+    """The number; ValueError if it is infinite, as 1e999 is."""
     number = float(digits)
     return number if math.isfinite(number) else _refuse(digits)
 
 
 def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number to be saved")
+    raise ValueError(f"{constant} is not a finite number")
 
 
 _DECODER = json.JSONDecoder(parse_constant=_refuse, parse_float=_finite)

@@ -1,4 +1,4 @@
-"""The table of states: what is learned of a car, of a drive, and of the last minutes.
+"""The table of states of a car, of a drive and of the last minutes.
 
 Slices, priors, keys of a saved car and `docs/reference/states.md` are made from this table.
 A new state is one line here and one column in `estimation.terms`; a saved car that lacks it begins
@@ -75,7 +75,7 @@ class State(IntEnum):
     REPORTED = "1", CAR, 1.0, 0.15, "share of a reported load that the battery gives"
     ROLLING_DRIVE = "1", DRIVE, 0.0, 0.08, "wind, rain and tyres of one drive"
     MASS_DRIVE = "kg", DRIVE, 0.0, 80.0, "over eta: people and luggage of one drive"
-    LOSS_DRIVE = "1", DRIVE, 0.0, 0.02, "of what goes in and out: what no other state tells apart"
+    LOSS_DRIVE = "1", DRIVE, 0.0, 0.02, "share of energy in and out that no other state explains"
     LOAD_DRIVE = "W", DRIVE, 0.0, 250.0, "what is switched on in one drive"
     LOAD = "W", FAST, 0.0, 0.0, "wandering load; its size is a hypothesis"
     LOAD_ENERGY = "J", FAST, 0.0, 0.0, "energy of the wandering load in the present interval"
@@ -98,7 +98,7 @@ GEARS = 0.97, 0.03  # share of the motor's energy that reaches the wheels, with 
 
 
 def known_names(names: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Places of the states with these names that exist: in the file, and in this table."""
+    """Indices of those names that are states of this table: in `names`, and in the table."""
     names = [SAVED_BEFORE.get(name, name) for name in names]
     there = [place for place, name in enumerate(names) if name in NAMES]
     return there, [NAMES.index(names[place]) for place in there]

@@ -93,7 +93,7 @@ LOSSES = Part.TYRES, Part.BRAKES, Part.DRIVETRAIN, Part.CLIMATE, Part.STANDING, 
 
 
 class Wheels(NamedTuple):
-    """Work of the wheels of the prior car in n steps; arrays of shape (n,), numpy or torch.
+    """Work at the wheels of the prior car in n steps; arrays of shape (n,), numpy or torch.
 
     Attributes:
         drag: integral of rho/2 u|u| v dt, J per m^2 of A C_d.
@@ -124,7 +124,7 @@ class Wheels(NamedTuple):
 
     @property
     def columns(self) -> tuple[Any, ...]:
-        """These terms one by one."""
+        """`terms` as a tuple of arrays."""
         gain, braking = self.gain, 1.0 - self.driving
         mass = (self.inertia + self.climb) * gain
         return self.drag * gain, self.rolling * gain, mass, self.energy * braking
@@ -187,7 +187,7 @@ class Equation:
     """
 
     def __init__(self, vehicle: Vehicle, seed: int = 0) -> None:
-        """Make network and copper orthogonal to the terms of eq. 21; seed: of the network."""
+        """Make `EXPLAINED` orthogonal to the terms of eq. 21; seed: of the network."""
         self.vehicle, self.seed = vehicle, seed
         self.mean, self.covariance = prior_of(vehicle)
         self._prior = self.mean[PHYSICS].tolist()
@@ -231,7 +231,7 @@ class Equation:
             steps: n of them, or one, of numbers, whose row has shape (SIZE,).
             conditions: of all of them.
             warmth: of tyres and cabin.
-            wheels: `of_steps`, where they are known already.
+            wheels: `of_steps`, if already computed.
         """
         wheels = wheels or self.of_steps(steps, conditions)
         cold = coldness(conditions.celsius)
@@ -267,10 +267,10 @@ class Equation:
     def moving_columns(
         self, wheels: Wheels, duration: Any, cold: Any, tyres: Any
     ) -> dict[State, Any]:
-        """Columns of `moving_rows` by state, but for the network, of the steps' shape.
+        """Columns of `moving_rows` by state, without the network, of the steps' shape.
 
-        The share that the terms of eq. 21 explain of `EXPLAINED` is still in them: these terms
-        times `explained`, which also holds for sums.
+        Those of `EXPLAINED` still contain their share of the terms of eq. 21, which is these terms
+        times `explained`, for steps and for sums.
         """
         turns = numbers(wheels.speed > CREEPING, duration) * duration
         columns = dict(zip(PHYSICS, wheels.columns, strict=True))
@@ -345,7 +345,7 @@ class Equation:
     def motor_rows(
         self, steps: Steps, conditions: Conditions, warmth: Warmth, wheels: Wheels
     ) -> np.ndarray:
-        """Energy the wheels take less that of the motor, driving and braking, (2, SIZE).
+        """Energy at the wheels less that of the motor, driving and braking, shape (2, SIZE).
 
         Each is zero, up to noise, so reported torque measures the wheels without the battery.
         Torque does not show the share of friction brakes.
@@ -391,7 +391,7 @@ class Equation:
         return rows
 
     def of_steps(self, steps: Steps, conditions: Conditions) -> Wheels:
-        """Prior car in the steps of an interval."""
+        """`wheels` of steps and their conditions."""
         return self.wheels(*steps[:5], conditions.air_density)
 
     def _motor_columns(self, steps: Steps) -> dict[State, Any]:
@@ -405,7 +405,7 @@ class Equation:
 
 
 def standing_powers(conditions: Conditions, warmth: Warmth) -> dict[State, Any]:
-    """Standing power by state, W per unit; what is not among them is zero."""
+    """Standing power by state, W per unit; other states have none."""
     powers = dict.fromkeys(STANDING_LOADS, 1.0)
     known = conditions.load_known
     climate = climate_powers(conditions.celsius, warmth)

@@ -29,7 +29,7 @@ OUTLIER = 3.0  # sigmas from which on a sample counts for less
 
 
 def trim_rows(samples: Samples) -> np.ndarray:
-    """What the weights multiply at n samples, shape (n, WEIGHTS); 0 while the car stands."""
+    """Regressors of the weights at n samples, shape (n, WEIGHTS); 0 while the car stands."""
     speed = samples.speed[:, None]
     rows = np.empty((samples.size, WEIGHTS))
     rows[:, 0], rows[:, 1] = 1.0, samples.speed
@@ -61,7 +61,7 @@ class Trim(NamedTuple):
         Args:
             rows: n of `trim_rows`.
             ages: s since the trim was last learned, shape (n,).
-            which: of the m each goes by.
+            which: index of the trim, of m, for each row.
         """
         keep = np.exp(ages / -FADING)
         power = keep * (rows * self.weights[which]).sum(axis=1)
@@ -70,7 +70,7 @@ class Trim(NamedTuple):
         return power, np.sqrt(np.maximum(variance, 0.0))
 
     def predict_one(self, sample: Sample, age: float) -> tuple[float, float]:
-        """The scalar twin of `predict`: power, W, and its variance, W^2, at one sample."""
+        """`predict` for one sample: power, W, and its variance, W^2."""
         speed = sample.speed
         if abs(speed) < STANDSTILL_SPEED:
             return 0.0, 0.0
@@ -81,7 +81,7 @@ class Trim(NamedTuple):
         return keep * float(row.dot(self.weights[-1])), max(variance, 0.0)
 
     def learned(self, rows: np.ndarray, residuals: np.ndarray, ages: np.ndarray) -> Trim:
-        """The last of these, and after each of k measured samples: k + 1.
+        """The last trim, and those after each of k measured samples: k + 1.
 
         Args:
             rows: of the samples, by `trim_rows`.

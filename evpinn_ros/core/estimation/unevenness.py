@@ -41,7 +41,7 @@ BRAKED = np.array(
         [0.030, 0.031, 0.032, 0.036, 0.042, 0.045],
         [0.018, 0.019, 0.020, 0.023, 0.026, 0.036],
     ]
-)  # J/kg that more is braked in a metre, beside what a run carries on to the next
+)  # J/kg of additional braking per metre, without energy that a run carries on to the next
 AIR = np.array(
     [
         [9.0, 27.0, 50.0, 66.0, 100.0, 130.0],
@@ -54,16 +54,16 @@ AIR = np.array(
         [2.0, 4.0, 12.0, 33.0, 78.0, 120.0],
         [1.0, 2.0, 6.0, 12.0, 36.0, 90.0],
     ]
-)  # m^2/s^2 more of the integral of v^3 in a metre
+)  # m^2/s^2, additional integral of v^3 per metre
 SHORTEST = 2.0  # s; from there to the first of `DURATIONS` the energy grows from 0
 USUAL_LEG = 60.0  # s, assumed for legs that belong to no trip
 LEG_SECONDS = (10.0, 30.0, 60.0, 200.0, 600.0, 1200.0)  # by which drives are cut to learn
 LEG_METRES = (100.0, 200.0, 500.0, 2000.0, 5000.0)
 JUDGED_METRES = 500.0  # legs by which the scatter from drive to drive is judged
 PRIOR_METRES = 10e3  # driving that the tables count as at each factor
-MEMORY_METRES = 150e3  # m of driving over which earlier driving is forgotten to a third
+MEMORY_METRES = 150e3  # m of driving over which earlier driving is forgotten to 1/e
 PRIOR_SHARE, PRIOR_DRIVES = 0.25, 4.0  # scatter before any drive; drives that it counts as
-OF_LEGS = 2.8  # variance of single legs, over their energy times that of a stop
+OF_LEGS = 2.8  # variance of single legs over (their energy times the energy of a stop)
 MOST_RATIO = 9.0  # of squared error to squared expectation of a drive; more counts as this
 MOST_SHARE = 100.0  # of scatter in a file
 SPREAD_KEPT = 0.97  # share of the scatter's sums kept from drive to drive
@@ -92,16 +92,16 @@ class Runs(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unevenness:
-    """What a car's driving taught about uneven speed; a value.
+    """Uneven speed as learned from a car's drives; a value.
 
     Attributes:
         metres: driven in legs of a minute about each speed of `MIDDLES`, shape (9,).
-        by_tables: energy of legs about each of `ROADS` and `DURATIONS` by the tables, as m of
-            their mean over all speeds, so that it is of a car of any size, shape (3, 6).
-        by_drives: the same as driven.
-        squares: sum over drives of squared energy by which they strayed from what was expected,
-            over the squared size of that (`size_of`).
-        drives: how many these are.
+        by_tables: energy of legs by the tables, about each of `ROADS` and `DURATIONS`, over the
+            tables' mean energy per metre, so that cars of any size compare: m, shape (3, 6).
+        by_drives: the same energy as driven.
+        squares: sum over drives of squared deviations from the expected energy, each over the
+            squared size of the expectation (`size_of`).
+        drives: number of drives in `squares`.
         cold: coldness of tyres and cabin summed over `metres`, m, shape (2,).
     """
 
@@ -120,12 +120,12 @@ class Unevenness:
 
     @classmethod
     def none(cls) -> Unevenness:
-        """Factors of a car whose own drives have shown nothing."""
+        """Unevenness of a car before its first drive."""
         return cls(np.zeros(MIDDLES.shape))
 
     @property
     def share(self) -> float:
-        """1-sigma of a trip's unevenness over the size of its expectation."""
+        """1-sigma of a trip's unevenness, as a share of the size of its expectation."""
         return float(np.sqrt(self.squares / self.drives))
 
     @property
@@ -153,7 +153,7 @@ class Unevenness:
         return _rows(equation, runs, self.factors(equation))
 
     def after(self, equation: Equation, mean: np.ndarray, drive: Path) -> Unevenness:
-        """With the steps of one more drive, whose energy is that of the car's mean, (SIZE,)."""
+        """The value after one more drive; mean: of the car's states, shape (SIZE,)."""
         if not drive.duration.size or not np.abs(drive.distance).sum():
             return self
         energy = _moving(equation, drive) @ mean
@@ -181,7 +181,7 @@ class Unevenness:
     def _judged(
         self, equation: Equation, mean: np.ndarray, drive: Path, energy: float
     ) -> Unevenness:
-        """Unevenness with the scatter of one more drive about its expectation, J."""
+        """Unevenness with the deviation of a drive of this energy, J, from its expectation."""
         if np.abs(drive.distance).sum() < JUDGED_DRIVE_METRES:
             return self
         even = even_course(drive.legs(_cut(np.abs(drive.distance), JUDGED_METRES)))
@@ -213,17 +213,17 @@ def runs_along(even: Even) -> Runs:
 
 
 def sizes_of(runs: Runs, energy: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Size of the energy expected of each run, J, and that times the energy of a stop, J^2."""
+    """Size of the expected energy of each run, J, and that times the energy of a stop, J^2."""
     stops = 0.5 * mean[State.MASS_OVER_ETA] * (runs.distance / runs.duration) ** 2
     return np.abs(energy), np.abs(energy) * stops
 
 
 def size_of(energy: Any, by_stops: Any) -> Any:
-    """Size of unevenness that scatter is relative to, J, from two sums of `sizes_of`.
+    """Size of unevenness that its 1-sigma is a share of, J, from two sums of `sizes_of`.
 
-    A driver's habit errs in the same sense on all legs. Beyond that, how often a leg makes one
-    speed up is chance: the variance of a sum of chance events of one size is the sum times that
-    size.
+    A driver's habit errs in the same sense on all legs. Beyond that, the number of times that a
+    leg makes one speed up is random: the variance of a sum of random events of one size is the sum
+    times that size.
     """
     return np.sqrt(energy**2 + OF_LEGS * by_stops)
 
@@ -252,18 +252,18 @@ def _per_metre(equation: Equation, density: float) -> np.ndarray:
 def _beyond(
     equation: Equation, mean: np.ndarray, drive: Path, owner: np.ndarray, energy: np.ndarray
 ) -> tuple[Runs, np.ndarray]:
-    """Runs that the legs of a drive are, and the energy of each beyond even speed, J.
+    """Runs of the legs of a drive, and the energy of each beyond even speed, J.
 
-    Kinetic energy that a run passes on beyond that of even speed adds up to nothing over the
-    trip: it counts halfway between what it costs to gain and what braking gives back. The rest of
-    speeding up and braking is loss.
+    Kinetic energy that a run passes on beyond that of even speed cancels over a trip: it counts
+    as the mean of its cost and of what braking returns. The rest of speeding up and braking is
+    loss.
 
     Args:
         equation: of the car.
         mean: of its states, shape (SIZE,).
         drive: its steps.
-        owner: number of the leg of each.
-        energy: of each, J.
+        owner: number of each step's leg.
+        energy: of each step, J.
     """
     legs = drive.legs(owner)
     even = even_course(legs)
@@ -287,7 +287,7 @@ def _moving(equation: Equation, path: Path) -> np.ndarray:
 
 
 def _cut(along: np.ndarray, size: float) -> np.ndarray:
-    """Numbers of the legs of this size, s or m, that steps belong to."""
+    """Number of each step's leg, if legs have this size, s or m."""
     return np.maximum((np.cumsum(along) - 1e-9) // size, 0.0).astype(np.int64)
 
 

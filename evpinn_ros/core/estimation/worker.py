@@ -41,7 +41,7 @@ class InlineWorker:
         return result
 
     def cancel(self) -> None:
-        """Forget the work under way, which runs out unseen."""
+        """Discard the work under way; it may still run to its end."""
         self._outcome = None, None
 
     def close(self) -> None:
@@ -73,7 +73,7 @@ class ThreadWorker(InlineWorker):
         self._future = self._executor.submit(self._timed, work)
 
     def collect(self) -> Any | None:
-        """Give the result if it is there."""
+        """Result of the work if it is ready, else None."""
         future = self._future
         if future is None or not (self._wait or future.done()):
             return None
@@ -81,11 +81,11 @@ class ThreadWorker(InlineWorker):
         return None if future.cancelled() else future.result()
 
     def cancel(self) -> None:
-        """Forget the work under way."""
+        """Discard the work under way."""
         if self._future is not None:
             self._future.cancel()
         self._future = None
 
     def close(self) -> None:
-        """Cancel what has not begun; do not wait for what has."""
+        """Cancel work that has not begun; do not wait for work that has."""
         self._executor.shutdown(wait=False, cancel_futures=True)
