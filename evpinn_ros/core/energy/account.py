@@ -265,7 +265,7 @@ class EnergyAccount(Saveable[SavedAccount]):
         self._battery = BatteryModel(capacity)
         # Readings that trip and battery have not taken yet.
         self._driven: list[tuple[np.ndarray, ...]] = []
-        self._told: list[tuple[np.ndarray, ...]] = []
+        self._charges: list[tuple[np.ndarray, ...]] = []
         self.usual = math.nan
         self._vehicle = vehicle
         self.admission = Admission(limits)
@@ -439,7 +439,7 @@ class EnergyAccount(Saveable[SavedAccount]):
 
     def _extend(self) -> None:
         """Give trip and battery their waiting readings: many cost as much as one."""
-        for log, waiting in ((self._trip, self._driven), (self._battery, self._told)):
+        for log, waiting in ((self._trip, self._driven), (self._battery, self._charges)):
             if waiting:
                 log.extend(*map(np.concatenate, zip(*waiting, strict=True)))
                 waiting.clear()
@@ -490,7 +490,7 @@ class EnergyAccount(Saveable[SavedAccount]):
     ) -> list[_Correction]:
         """Count battery readings; returns the corrections of dropouts."""
         if len(stamps):
-            self._told.append((stamps, voltage, current, charge))
+            self._charges.append((stamps, voltage, current, charge))
         possible = (charge >= 0.0) & (charge <= 1.0)
         stamps, charge = stamps[possible], charge[possible]
         if not (len(stamps) or course.ended):
@@ -588,9 +588,9 @@ class EnergyAccount(Saveable[SavedAccount]):
     def charge(self) -> Uncertain:
         """State of charge now, 0..1, its value NaN while unknown."""
         charge = self._waiting.sorted(_Kind.BATTERY).values[2]
-        told = charge[(charge >= 0.0) & (charge <= 1.0)]
-        if len(told):
-            return Uncertain(float(told[-1]), self.gauge.rounding)
+        readings = charge[(charge >= 0.0) & (charge <= 1.0)]
+        if len(readings):
+            return Uncertain(float(readings[-1]), self.gauge.rounding)
         return self.gauge.charge(self._newest_ns, self.lifetime().net)
 
     def tick(self) -> AccountSummary | None:

@@ -192,7 +192,7 @@ class MeterCourse:
         measured: course of measured power.
         rknn: predicted energy by the network, J, and its power, W, shape (n + 1, 2).
         totals: of predictions: columns of `Bridge` and the variance, shape (n + 1, 5).
-        told: energy of a dropout by the estimator, and its 1-sigma, J, shape (n + 1, 2).
+        estimated: energy of a dropout by the estimator, and its 1-sigma, J, shape (n + 1, 2).
         first_ns: stamp of the first prediction, 0 before any, shape (n + 1,).
         used_ns: stamp of the last prediction that was used, shape (1,).
         since_ns: stamp of the last battery reading, 0 before any, shape (m + 1,).
@@ -209,7 +209,7 @@ class MeterCourse:
     measured: PowerCourse
     rknn: np.ndarray
     totals: np.ndarray
-    told: np.ndarray
+    estimated: np.ndarray
     first_ns: np.ndarray
     used_ns: np.ndarray
     since_ns: np.ndarray
@@ -277,14 +277,14 @@ class MeterCourse:
         Returns:
             Columns of `Bridge`, shape (k, 4), and both 1-sigma, J, shape (k,).
         """
-        anchors, told = self.anchors[at.measured], self.told[at.predicted]
+        anchors, estimated = self.anchors[at.measured], self.estimated[at.predicted]
         bridge = until[:, :4] - anchors[:, :4]
         whole = self.heard[at.measured] | (self.since_ns[at.measured] == 0)
-        by_estimator = whole & np.isfinite(told[:, 0]) & (seconds >= LEAST_DROPOUT)
-        bridge[:, 0] = np.where(by_estimator, told[:, 0], bridge[:, 0])
+        by_estimator = whole & np.isfinite(estimated[:, 0]) & (seconds >= LEAST_DROPOUT)
+        bridge[:, 0] = np.where(by_estimator, estimated[:, 0], bridge[:, 0])
         guessed = np.sqrt(np.maximum(until[:, 4] - anchors[:, 4], 0.0))
-        is_told = np.isfinite(told[:, 1])
-        short = np.where(is_told, told[:, 1], guessed)
+        is_estimated = np.isfinite(estimated[:, 1])
+        short = np.where(is_estimated, estimated[:, 1], guessed)
         lasting = np.hypot(guessed, LASTING_SHARE * bridge[:, 2])
         unknown_s, ended = seconds - bridge[:, 3], self.dropouts[at.measured]
         before = ended[:, 6] - ended[:, 3]
@@ -292,7 +292,8 @@ class MeterCourse:
             before = before + np.cumsum(unknown_s) - unknown_s
         recent, holes = self.recent[at.measured], (unknown_s, before)
         hole = taken_variance(recent, *(np.maximum(length, 0.0) for length in holes))
-        return bridge, short, np.hypot(np.where(is_told, told[:, 1], lasting), np.sqrt(hole))
+        sigma = np.where(is_estimated, estimated[:, 1], lasting)
+        return bridge, short, np.hypot(sigma, np.sqrt(hole))
 
     def until_now(self, at: Counts) -> tuple[np.ndarray, np.ndarray]:
         """`dropouts` with the present one, shape (k, 7), and whether there is one, shape (k,)."""
@@ -417,7 +418,7 @@ class EnergyMeter(Saveable[SavedMeter]):
             measured,
             rknn=rknn,
             totals=totals,
-            told=np.full((1, 2), math.nan),
+            estimated=np.full((1, 2), math.nan),
             first_ns=NO_STAMPS,
             used_ns=NO_STAMPS,
             since_ns=np.array([saved.until_ns], np.int64),
@@ -452,13 +453,13 @@ class EnergyMeter(Saveable[SavedMeter]):
         anchors = np.concatenate((last.anchors[-1:], _at(measures.stamps, used_ns, series)))
         since_ns = np.concatenate((last.since_ns[-1:], measures.stamps))
         first_ns = last.first_ns[-1] or int(predicted.stamp_ns[:1].sum())  # 0 without any
-        told = np.stack((predicted.energy, predicted.energy_sigma), axis=-1)
+        estimated = np.stack((predicted.energy, predicted.energy_sigma), axis=-1)
         course = MeterCourse(
             predictions,
             measurements,
             rknn=rknn,
             totals=totals,
-            told=np.concatenate((last.told[-1:], told)),
+            estimated=np.concatenate((last.estimated[-1:], estimated)),
             first_ns=np.repeat((last.first_ns[-1], first_ns), (1, len(predicted.stamp_ns))),
             used_ns=used_ns[-1:],
             since_ns=since_ns[measures.used],

@@ -56,6 +56,7 @@ from evpinn_ros.core.estimation.persistence import Persistence
 from evpinn_ros.core.estimation.size import Similarity
 from evpinn_ros.core.estimation.sizing import Intervals, Sizing
 from evpinn_ros.core.estimation.worker import InlineWorker
+from evpinn_ros.core.signals.arrived_power import NO_BATTERY, ArrivedPower
 from evpinn_ros.core.signals.block import Block, joined
 from evpinn_ros.core.signals.detector import BATTERY_STUCK
 from evpinn_ros.core.signals.interval import Interval
@@ -73,7 +74,6 @@ from evpinn_ros.core.signals.reorder import Arrived, ReorderBuffer
 from evpinn_ros.core.signals.sample import Events, Measured, Newest, Sample, Samples
 from evpinn_ros.core.signals.stream import SampleStream, StreamSettings
 from evpinn_ros.core.signals.stuck import StuckDetector, Verdict, VerdictCourse
-from evpinn_ros.core.signals.told import NO_BATTERY, ToldPower
 from evpinn_ros.core.signals.track import LATER, NEVER
 from evpinn_ros.core.vehicle.files import CONSTANTS, GENERIC, Vehicle
 from evpinn_ros.core.vehicle.physics import STANDSTILL_SPEED, RegenForm
@@ -274,7 +274,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._first_ns: int | None = None  # of the first speed
         self._persistence = Persistence()
         # Stamps at which the battery measured power, from the last before the smoothed samples.
-        self._told_ns = np.array([NEVER])
+        self._battery_ns = np.array([NEVER])
         # Intervals for the next tick, each after the stamp that made it ready.
         self._ready: list[tuple[int, Interval]] = []
         self._waiting = False  # for the result of an update
@@ -339,9 +339,9 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """
         self._tells_breakdown = breakdowns
         released, arrived = self._buffer.add(self._aligner.shifted(block))
-        told = self._newest.battery.add(arrived.get(BatteryReading, NO_BATTERY))
-        outputs = self._advance(released, self._newest.add(arrived, told))
-        return outputs._replace(measured=self._told(told))
+        powers = self._newest.battery.add(arrived.get(BatteryReading, NO_BATTERY))
+        outputs = self._advance(released, self._newest.add(arrived, powers))
+        return outputs._replace(measured=self._measured_rows(powers))
 
     def add_reading(
         self, reading: Reading, *, breakdowns: bool = False
@@ -397,11 +397,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         )
         power, sigma = self._learner.predict(sample)
         if self._settings.mode is not Mode.PAPER:
-            told_ns, told = self._newest.battery.before(stamp_ns)
-            told /= self._similarity.size
+            battery_ns, battery = self._newest.battery.before(stamp_ns)
+            battery /= self._similarity.size
             if self._stuck.verdict.detected == BATTERY_STUCK:
-                told = math.nan
-            power, sigma = self._persistence.add(stamp_ns, power, sigma, told_ns, told)
+                battery = math.nan
+            power, sigma = self._persistence.add(stamp_ns, power, sigma, battery_ns, battery)
         moving, size = abs(speed) > STANDSTILL_SPEED, self._similarity.size
         self._predicted.append((stamp_ns, power, sigma, moving))
         sigma *= self._bands[PowerKind.PREDICTED].scale(moving=moving)
@@ -474,15 +474,15 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             alignments += self._aligner.learn(block)
         begun = self._seconds_begun(block.of_kind(SpeedReading).stamps)
         events = self._stream.add(block, newest, intervals=len(begun) > 0)
-        told_ns = np.concatenate((self._told_ns, self._stamps_told(block, course)))
+        battery_ns = np.concatenate((self._battery_ns, self._battery_stamps(block, course)))
         measured = self._admitted(events.measured, course)
         learned_from = measured if self.enabled else measured.where(slice(0))
         checked = measured.where(admitted(measured))
         if self.enabled:
             self._seen.add(checked.samples)
-        span = _span(events, learned_from, told_ns)
+        span = _span(events, learned_from, battery_ns)
         # Later samples need the last stamp before them alone.
-        self._told_ns = told_ns[told_ns >= span.battery_ns.max(initial=NEVER)]
+        self._battery_ns = battery_ns[battery_ns >= span.battery_ns.max(initial=NEVER)]
         self._ready += events.intervals
         ticks = self._ticks(begun, alignments)
         predictions, learned = self._learn(span, events, learned_from, course, ticks)
@@ -509,37 +509,37 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         """
         if self._settings.mode is Mode.PAPER:
             return predicted
-        told = newest.told_power / self._similarity.size
+        battery = newest.battery_power / self._similarity.size
         if not course.is_quiet:
             watermarks = newest.known_ns.tolist()
-            told[[course.at(ns).detected == BATTERY_STUCK for ns in watermarks]] = np.nan
-        columns = newest.samples.stamp_ns, *predicted.T, newest.told_ns, told
+            battery[[course.at(ns).detected == BATTERY_STUCK for ns in watermarks]] = np.nan
+        columns = newest.samples.stamp_ns, *predicted.T, newest.battery_ns, battery
         rows = zip(*(column.tolist() for column in columns), strict=True)
         return np.array([self._persistence.add(*row) for row in rows]).reshape(-1, 2)
 
-    def _stamps_told(self, block: Block, course: VerdictCourse) -> np.ndarray:
+    def _battery_stamps(self, block: Block, course: VerdictCourse) -> np.ndarray:
         """Stamps of a block at which the battery measured power, ns."""
         rows = block.of_kind(BatteryReading)
         voltage, current = rows.values[:2]
-        told = ~np.isnan(current)
-        alone = told & np.isnan(voltage)
+        measured = ~np.isnan(current)
+        alone = measured & np.isnan(voltage)
         if alone.any():
-            told[alone] = ~np.isnan(self._stream.battery.voltage.last(rows.stamps[alone]))
+            measured[alone] = ~np.isnan(self._stream.battery.voltage.last(rows.stamps[alone]))
         if not course.is_quiet:
             sound = [course.at(ns).detected != BATTERY_STUCK for ns in rows.stamps.tolist()]
-            told &= np.array(sound, dtype=bool)
-        stamps: np.ndarray = rows.stamps[told]
+            measured &= np.array(sound, dtype=bool)
+        stamps: np.ndarray = rows.stamps[measured]
         return stamps
 
-    def _told(self, told: ToldPower) -> PowerRows:
+    def _measured_rows(self, arrived: ArrivedPower) -> PowerRows:
         """Measured power, at the stamps of its readings, in order of arrival."""
-        used = ~np.isnan(told.power) & (told.age_ns <= self._stream.battery.voltage.gap_ns())
+        used = ~np.isnan(arrived.power) & (arrived.age_ns <= self._stream.battery.voltage.gap_ns())
         if not all(course.is_quiet for course in self._courses):
-            sound = [self._is_sound(ns) for ns in told.battery.watermark_ns.tolist()]
+            sound = [self._is_sound(ns) for ns in arrived.battery.watermark_ns.tolist()]
             used &= np.array(sound, dtype=bool)
-        stamps, power = told.battery.stamps[used] - self._aligner.shift_ns, told.power[used]
+        stamps, power = arrived.battery.stamps[used] - self._aligner.shift_ns, arrived.power[used]
         size = self._similarity.size
-        sigma = size * sensor_sigma(power / size, told.coarse[used] / size)
+        sigma = size * sensor_sigma(power / size, arrived.coarse[used] / size)
         return PowerRows.of(stamps, stamps, power, sigma)
 
     def _is_sound(self, watermark_ns: int) -> bool:
@@ -580,11 +580,11 @@ class OnlineEstimator(Saveable[SavedEstimator]):
             begins = ends
             while self._ready and self._ready[0][0] <= known_ns:
                 self._add_interval(self._ready.pop(0)[1], course.at(known_ns))
-            learned.append(self._told_learned(known_ns, self._tick(clock)))
+            learned.append(self._learned_outputs(known_ns, self._tick(clock)))
         predictions.append(self._follow(span.part(begins, span.sizes)))
         return joined_predictions(predictions), learned
 
-    def _told_learned(self, known_ns: int, parameters: ParameterSet) -> Learned:
+    def _learned_outputs(self, known_ns: int, parameters: ParameterSet) -> Learned:
         """The outputs of a tick, with parameters of the similar car."""
         breakdown = self._breakdown_beside(parameters) if self._tells_breakdown else None
         estimate = self._similarity.estimate(parameters)
@@ -754,8 +754,8 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         columns = firsts, battery.newest_at(firsts), battery.gap_ns(firsts)
         rows = zip(*(column.tolist() for column in columns), strict=True)
         return [
-            _Clock(now_ns, told_ns, gap_ns, alignments[bisect_right(since, now_ns) - 1][1])
-            for now_ns, told_ns, gap_ns in rows
+            _Clock(now_ns, battery_ns, gap_ns, alignments[bisect_right(since, now_ns) - 1][1])
+            for now_ns, battery_ns, gap_ns in rows
         ]
 
     def _tick(self, clock: _Clock) -> ParameterSet:
@@ -801,13 +801,13 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         return Activity.LEARNING if self.enabled else Activity.PAUSED
 
 
-def _span(events: Events, measured: Measured, told_ns: np.ndarray) -> Span:
+def _span(events: Events, measured: Measured, battery_ns: np.ndarray) -> Span:
     """The span of events that a learner follows.
 
     Args:
         events: of a block.
         measured: those of its measured samples that are learned from.
-        told_ns: stamps at which the battery measured power, from the last before the block on.
+        battery_ns: stamps at which the battery measured power, from the last before the block on.
     """
     newest = events.newest
     stamps = events.smoothed.stamp_ns
@@ -819,7 +819,7 @@ def _span(events: Events, measured: Measured, told_ns: np.ndarray) -> Span:
         measured=measured.samples,
         power=measured.power,
         place=measured.place,
-        battery_ns=told_ns[np.maximum(told_ns.searchsorted(stamps, side="right") - 1, 0)],
+        battery_ns=battery_ns[np.maximum(battery_ns.searchsorted(stamps, side="right") - 1, 0)],
     )
 
 

@@ -29,11 +29,11 @@ class Persistence:
     def __init__(self) -> None:
         """Begin without a prediction."""
         self._latest: deque[tuple[int, float]] = deque(maxlen=MOST_KEPT)
-        self._told: tuple[int, float, float] | None = None  # stamp, prediction and error, W
+        self._last: tuple[int, float, float] | None = None  # stamp, prediction and error, W
         self._weights = _Weights()
 
     def add(
-        self, stamp_ns: int, power: float, sigma: float, told_ns: int, told: float
+        self, stamp_ns: int, power: float, sigma: float, battery_ns: int, battery: float
     ) -> tuple[float, float]:
         """Power of a sample and its 1-sigma, W.
 
@@ -41,27 +41,29 @@ class Persistence:
             stamp_ns: of the sample; stamps rise.
             power: predicted, W.
             sigma: its 1-sigma, W.
-            told_ns: stamp of the newest battery reading before the sample, ns.
-            told: its power, W, NaN if there is none or it is not to be used.
+            battery_ns: stamp of the newest battery reading before the sample, ns.
+            battery: its power, W, NaN if there is none or it is not to be used.
         """
         self._latest.append((stamp_ns, power))
-        age = (stamp_ns - told_ns) / NANOSECONDS
-        if told != told or age >= FORGOTTEN or told_ns < self._latest[0][0]:
+        age = (stamp_ns - battery_ns) / NANOSECONDS
+        if battery != battery or age >= FORGOTTEN or battery_ns < self._latest[0][0]:
             return power, sigma
-        then = self._predicted_at(told_ns)
-        error = _within(told - then, OUTLIER * sigma)
-        self._learn(told_ns, then, told - then, error, sigma)
+        then = self._predicted_at(battery_ns)
+        error = _within(battery - then, OUTLIER * sigma)
+        self._learn(battery_ns, then, battery - then, error, sigma)
         kept = math.exp(-age / DECAY)
         given = kept * error + self._weights.of(*_terms(age, error, power - then))
         share = max(math.sqrt(1.0 - kept**2), LEAST_SIGMA)
-        return max(power + given, min(power, told, 0.0)), sigma * share
+        return max(power + given, min(power, battery, 0.0)), sigma * share
 
-    def _learn(self, told_ns: int, then: float, seen: float, error: float, sigma: float) -> None:
+    def _learn(
+        self, battery_ns: int, then: float, seen: float, error: float, sigma: float
+    ) -> None:
         """Learn the weights from the error of a battery reading and that of the one before."""
-        before, self._told = self._told, (told_ns, then, error)
-        if before is None or before[0] == told_ns:
+        before, self._last = self._last, (battery_ns, then, error)
+        if before is None or before[0] == battery_ns:
             return
-        age = (told_ns - before[0]) / NANOSECONDS
+        age = (battery_ns - before[0]) / NANOSECONDS
         left = math.exp(-age / DECAY) * before[2]
         self._weights.learn(*_terms(age, before[2], then - before[1]), seen - left, sigma, age)
 

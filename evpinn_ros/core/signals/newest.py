@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evpinn_ros.core.signals.arrived_power import NO_POWER, ArrivedPower, ArrivedPowerTrack
 from evpinn_ros.core.signals.block import NO_ROWS
 from evpinn_ros.core.signals.kinematics import (
     LOOK_BACK_NS,
@@ -21,7 +22,6 @@ from evpinn_ros.core.signals.kinematics import (
 from evpinn_ros.core.signals.power import NOMINAL_RATIO
 from evpinn_ros.core.signals.readings import NANOSECONDS, MotorReading, Reading, SpeedReading
 from evpinn_ros.core.signals.reorder import Arrived
-from evpinn_ros.core.signals.told import NOTHING_TOLD, ToldPower, ToldTrack
 from evpinn_ros.core.signals.track import NEVER
 
 
@@ -35,8 +35,8 @@ class NewestSpeeds(NamedTuple):
         differences: of speed before each (`kinematics.Speeds.differences`), shape (n, TAPS).
         slopes: around each (`kinematics.Speeds.slopes`), shape (n, PROFILE).
         motor_power: W, by the last torque that arrived, NaN where unknown, shape (n,).
-        told_ns: stamps of the newest battery reading before each, `NEVER` before any, shape (n,).
-        told_power: power of that reading, W, shape (n,).
+        battery_ns: stamps of the newest battery reading before each, or `NEVER`, shape (n,).
+        battery_power: power of that reading, W, shape (n,).
     """
 
     stamps: np.ndarray
@@ -45,8 +45,8 @@ class NewestSpeeds(NamedTuple):
     differences: np.ndarray
     slopes: np.ndarray
     motor_power: np.ndarray
-    told_ns: np.ndarray
-    told_power: np.ndarray
+    battery_ns: np.ndarray
+    battery_power: np.ndarray
 
     def where(self, chosen: np.ndarray | slice) -> NewestSpeeds:
         """The rows of a mask or slice."""
@@ -82,7 +82,7 @@ class NewestTrack:
 
     def __init__(self, max_gap: float, motor_ratio: float) -> None:
         """Start empty; max_gap as in `SignalTrack`, motor_ratio in rad per m, NaN if unknown."""
-        self.battery = ToldTrack()
+        self.battery = ArrivedPowerTrack()
         self._max_gap, self._speed = max_gap, SpeedTrack(max_gap)
         self._ratio = NOMINAL_RATIO if math.isnan(motor_ratio) else motor_ratio
         self._motor_ns, self._torque, self._turning = NEVER, math.nan, math.nan  # the last reading
@@ -143,17 +143,17 @@ class NewestTrack:
             self._new = 0
 
     def add(
-        self, arrived: Mapping[type[Reading], Arrived], told: ToldPower = NOTHING_TOLD
+        self, arrived: Mapping[type[Reading], Arrived], battery: ArrivedPower = NO_POWER
     ) -> NewestSpeeds:
-        """Add arrived readings, the battery's as `told`; returns speeds newer than all before."""
+        """Add readings in order of arrival; returns the speeds that are newer than all before."""
         self._extend()
         self._latest = []
         speeds, motor = arrived.get(SpeedReading, NO_ARRIVALS), arrived.get(MotorReading)
         before = np.maximum.accumulate(np.append(self._speed.newest_ns, speeds.stamps))[:-1]
         speeds = speeds.where(speeds.stamps > before)
-        speed, battery = speeds.values[0], self.battery.before_each(speeds, told)
+        speed, newest = speeds.values[0], self.battery.before_each(speeds, battery)
         moved = *self._moved(speeds.stamps, speed), self._motor_power(motor, speeds)
-        return NewestSpeeds(speeds.stamps, speeds.watermark_ns, speed, *moved, *battery)
+        return NewestSpeeds(speeds.stamps, speeds.watermark_ns, speed, *moved, *newest)
 
     def _moved(self, stamps: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differences and slopes of speed at moments; nothing is joined across a gap."""
@@ -179,17 +179,17 @@ class NewestTrack:
         """Power by the last torque that arrived before each speed, W; NaN where it is too old."""
         if motor is None and math.isnan(self._torque):
             return np.full(len(speeds.stamps), np.nan)
-        told_ns, values = np.array([self._motor_ns]), np.array([[self._torque], [self._turning]])
+        motor_ns, values = np.array([self._motor_ns]), np.array([[self._torque], [self._turning]])
         places = np.empty(0)
         if motor is not None:
-            told_ns = np.append(told_ns, motor.stamps)
+            motor_ns = np.append(motor_ns, motor.stamps)
             values = np.concatenate((values, motor.values), axis=1)
-            self._motor_ns, places = int(told_ns[-1]), motor.order
+            self._motor_ns, places = int(motor_ns[-1]), motor.order
             self._torque, self._turning = values[:, -1].tolist()
         which = places.searchsorted(speeds.order)
-        told_ns, (torque, turning) = told_ns[which], values[:, which]
+        motor_ns, (torque, turning) = motor_ns[which], values[:, which]
         power = torque * np.where(np.isnan(turning), self._ratio * speeds.values[0], turning)
-        return np.where(speeds.stamps - told_ns <= self._max_gap * NANOSECONDS, power, np.nan)
+        return np.where(speeds.stamps - motor_ns <= self._max_gap * NANOSECONDS, power, np.nan)
 
 
 def _interpolated(latest: Sequence[tuple[int, float]], after_ns: Sequence[int]) -> list[float]:

@@ -78,7 +78,7 @@ class Conditions(NamedTuple):
     load_known: Any
 
 
-class _Told:
+class _Latest:
     """Latest values of the quantities in readings of one kind, in order of stamps."""
 
     def __init__(self, width: int) -> None:
@@ -97,12 +97,12 @@ class _Told:
             self.stamps, self._values = self.stamps[first:], self._values[:, first:]
 
     def at(self, moments: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Stamps, `NEVER` before the first, and values told last up to moments, (n,) each."""
+        """Stamps, `NEVER` before the first, and latest values up to moments, (n,) each."""
         index = np.maximum(self.stamps.searchsorted(moments, side="right") - 1, 0)
         return self.stamps[index], *self._values[:, index]
 
     @property
-    def is_told(self) -> bool:
+    def is_known(self) -> bool:
         """True once there was a reading."""
         return bool(self.stamps[-1] != NEVER)
 
@@ -114,14 +114,14 @@ class Road:
         """Take the air density, kg/m^3, of the vehicle file as that at `REFERENCE_CELSIUS`."""
         self._source = grade_source
         self._reference_density = reference_density
-        self._celsius, self._pascal, self._wind = _Told(1), _Told(1), _Told(1)
+        self._celsius, self._pascal, self._wind = _Latest(1), _Latest(1), _Latest(1)
         self.forget()
 
     def forget(self) -> None:
         """Drop what may not be joined across a gap or a jump of time."""
-        self._auxiliary = _Told(2)
+        self._auxiliary = _Latest(2)
         self._pitch_ns, self._pitches = np.empty(0, np.int64), np.empty(0)  # of the last window
-        self._pitch, self._slope = _Told(1), _Told(1)
+        self._pitch, self._slope = _Latest(1), _Latest(1)
         self._hill = _Hill()
         self.altitudes = SignalTrack(STALE_AFTER)
         self._odometer = self._height = 0.0  # m
@@ -136,15 +136,15 @@ class Road:
             stamps: of its speeds, ns, shape (n,).
             distances: driven up to each, m, shape (n,).
         """
-        kinds: Mapping[type[Reading], _Told] = {
+        kinds: Mapping[type[Reading], _Latest] = {
             TemperatureReading: self._celsius,
             PressureReading: self._pascal,
             WindReading: self._wind,
             AuxiliaryReading: self._auxiliary,
         }
-        for kind, told in kinds.items():
+        for kind, latest in kinds.items():
             if kind in block.rows:
-                told.extend(block.rows[kind].stamps, block.rows[kind].values)
+                latest.extend(block.rows[kind].stamps, block.rows[kind].values)
         if GradeReading in block.rows:
             self._add_pitch(block.rows[GradeReading])
         altitudes = block.of_kind(AltitudeReading)
@@ -154,9 +154,9 @@ class Road:
 
     def forget_before(self, needed_ns: int) -> None:
         """Drop readings that no moment from `needed_ns` on rests on."""
-        for told in (self._celsius, self._pascal, self._wind, self._auxiliary, self._pitch,
+        for latest in (self._celsius, self._pascal, self._wind, self._auxiliary, self._pitch,
                      self._slope):  # fmt: skip
-            told.forget_before(needed_ns)
+            latest.forget_before(needed_ns)
         self.altitudes.forget_before(needed_ns)
 
     def _add_pitch(self, rows: Rows) -> None:
@@ -185,12 +185,12 @@ class Road:
     def grades(self, moments: np.ndarray) -> np.ndarray:
         """Road incline angles, rad, 0 while unknown, shape (n,)."""
         grades = np.zeros(len(moments))
-        if self._source in (GradeSource.AUTO, GradeSource.FIX) and self._slope.is_told:
+        if self._source in (GradeSource.AUTO, GradeSource.FIX) and self._slope.is_known:
             stamps, slopes = self._slope.at(moments)
             slope = np.arctan(slopes)
             known = (_age(moments, stamps) <= STALE_AFTER) & (np.abs(slope) < GRADE_LIMIT)
             grades = np.where(known, slope, 0.0)
-        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._pitch.is_told:
+        if self._source in (GradeSource.AUTO, GradeSource.IMU) and self._pitch.is_known:
             stamps, pitches = self._pitch.at(moments)
             grades = np.where(_age(moments, stamps) < STALE_AFTER, pitches, grades)
         return grades
@@ -201,23 +201,23 @@ class Road:
         Heating that is reported on a warm day does not count: on five of six drives of an i3 above
         20 degrees the battery gave none of it; below, all of it.
         """
-        told_ns, winds = self._wind.at(moments)
-        blows = _age(moments, told_ns) <= WIND_STALE_AFTER
-        told_ns, heating, others = self._auxiliary.at(moments)
-        fresh = _age(moments, told_ns) <= STALE_AFTER
+        wind_ns, winds = self._wind.at(moments)
+        blows = _age(moments, wind_ns) <= WIND_STALE_AFTER
+        load_ns, heating, others = self._auxiliary.at(moments)
+        fresh = _age(moments, load_ns) <= STALE_AFTER
         celsius, pascal = self._celsius.at(moments)[1], self._pascal.at(moments)[1]
         return Conditions(
             density_of_air(self._reference_density, celsius, pascal),
             np.where(blows, winds, 0.0),
             celsius,
             load=np.where(fresh, others + np.where(celsius >= HEATED_BELOW, 0.0, heating), 0.0),
-            load_known=told_ns != NEVER,
+            load_known=load_ns != NEVER,
         )
 
     @property
     def shows_heights(self) -> bool:
         """True if any reading tells of the road's height."""
-        return self._pitch.is_told or len(self.altitudes) > 0
+        return self._pitch.is_known or len(self.altitudes) > 0
 
     def heights(
         self, stamps: np.ndarray, odometers: np.ndarray
@@ -230,8 +230,8 @@ class Road:
             stamps: of the moment before and n new ones, ns, increasing, shape (n + 1,).
             odometers: m, at these.
         """
-        told_ns, pitches = self._pitch.at(stamps[1:])
-        fresh = _age(stamps[1:], told_ns) < STALE_AFTER
+        pitch_ns, pitches = self._pitch.at(stamps[1:])
+        fresh = _age(stamps[1:], pitch_ns) < STALE_AFTER
         fresh &= self._source in (GradeSource.AUTO, GradeSource.IMU)
         seen_ns, altitudes = self.altitudes.stamps, self.altitudes.values.tolist()
         upto = seen_ns.searchsorted(stamps[1:], side="right")
@@ -270,13 +270,13 @@ class Road:
 
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
         """Which of grade, temperature, pressure, wind and loads have no data."""
-        told_ns = int(self._pitch.stamps[-1])
+        pitch_ns = int(self._pitch.stamps[-1])
         given = {
-            "grade": _age(stamp_ns, told_ns) < STALE_AFTER or not self._altitude.detected,
-            "temperature": self._celsius.is_told,
-            "pressure": self._pascal.is_told,
-            "wind": self._wind.is_told,
-            "loads": self._auxiliary.is_told,
+            "grade": _age(stamp_ns, pitch_ns) < STALE_AFTER or not self._altitude.detected,
+            "temperature": self._celsius.is_known,
+            "pressure": self._pascal.is_known,
+            "wind": self._wind.is_known,
+            "loads": self._auxiliary.is_known,
         }
         return tuple(name for name, known in given.items() if not known)
 

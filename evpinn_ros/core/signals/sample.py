@@ -126,14 +126,14 @@ class Newest(NamedTuple):
     Attributes:
         samples: n of them, whose acceleration is causal.
         known_ns: stamp up to which everything was learned before each, shape (n,).
-        told_ns: stamps of the newest battery reading before each, shape (n,).
-        told_power: power of that reading, W, NaN before any, shape (n,).
+        battery_ns: stamps of the newest battery reading before each, shape (n,).
+        battery_power: power of that reading, W, NaN before any, shape (n,).
     """
 
     samples: Samples
     known_ns: np.ndarray
-    told_ns: np.ndarray
-    told_power: np.ndarray
+    battery_ns: np.ndarray
+    battery_power: np.ndarray
 
 
 class Events(NamedTuple):

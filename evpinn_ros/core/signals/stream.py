@@ -253,7 +253,7 @@ class SampleStream:
             newest.stamps, newest.known_ns, newest.speed, acceleration, newest.slopes,
             newest.motor_power,
         )  # fmt: skip
-        return Newest(samples, newest.known_ns, newest.told_ns, newest.told_power)
+        return Newest(samples, newest.known_ns, newest.battery_ns, newest.battery_power)
 
     def _samples(
         self,

@@ -57,8 +57,8 @@ def test_what_a_change_of_the_prediction_is_worth_is_learned():
     persistence, wrong = Persistence(), []
     for index in range(600):
         power = 20_000.0 + 3000.0 * (-1) ** index
-        told_ns = nanoseconds(0.1 * (index - 1))
-        given, _ = persistence.add(nanoseconds(0.1 * index), power, 2000.0, told_ns, 20_000.0)
+        battery_ns = nanoseconds(0.1 * (index - 1))
+        given, _ = persistence.add(nanoseconds(0.1 * index), power, 2000.0, battery_ns, 20_000.0)
         wrong.append(abs(given - 20_000.0))
     assert max(wrong[500:]) < 300.0 < 1500.0 < wrong[1]
 

@@ -17,7 +17,7 @@ MOST_LATEST = 1000  # powers, then the older half is dropped; far more than come
 NO_BATTERY = Arrived(*NO_ROWS[BatteryReading], np.empty(0, np.int64))
 
 
-class ToldPower(NamedTuple):
+class ArrivedPower(NamedTuple):
     """Powers of n battery readings in order of arrival; a current alone takes the last voltage.
 
     Attributes:
@@ -36,10 +36,10 @@ class ToldPower(NamedTuple):
         return np.asarray(self.battery.values[COARSE])
 
 
-NOTHING_TOLD = ToldPower(NO_BATTERY, *np.empty((2, 0)))
+NO_POWER = ArrivedPower(NO_BATTERY, *np.empty((2, 0)))
 
 
-class ToldTrack:
+class ArrivedPowerTrack:
     """Follows battery readings in order of arrival."""
 
     def __init__(self) -> None:
@@ -60,12 +60,12 @@ class ToldTrack:
 
     def before(self, stamp_ns: int) -> tuple[int, float]:
         """The newest power stamped before a moment, ns and W; `NEVER` and NaN before any."""
-        for told in reversed(self._latest):
-            if told[0] < stamp_ns:
-                return told
+        for latest in reversed(self._latest):
+            if latest[0] < stamp_ns:
+                return latest
         return NEVER, math.nan
 
-    def add(self, battery: Arrived = NO_BATTERY) -> ToldPower:
+    def add(self, battery: Arrived = NO_BATTERY) -> ArrivedPower:
         """Add readings in order of arrival; returns their powers."""
         voltage, current = battery.values[:2]
         stamps = battery.stamps
@@ -73,23 +73,23 @@ class ToldTrack:
         last = np.maximum.accumulate(np.where(np.isnan(volts), 0, np.arange(len(volts))))
         self._voltage, self._voltage_ns = float(volts[last[-1]]), int(volts_ns[last[-1]])
         volts, age_ns = volts[last[1:]], stamps - volts_ns[last[1:]]
-        return ToldPower(battery, drawn_power(volts, current), age_ns)
+        return ArrivedPower(battery, drawn_power(volts, current), age_ns)
 
-    def before_each(self, speeds: Arrived, told: ToldPower) -> tuple[np.ndarray, np.ndarray]:
+    def before_each(self, speeds: Arrived, arrived: ArrivedPower) -> tuple[np.ndarray, np.ndarray]:
         """`before` for each of n speeds, among the powers that arrived before it; shape (n,) each.
 
-        Keeps the powers of `told` for the next call.
+        Keeps the powers of `arrived` for the next call.
         """
-        measured = ~np.isnan(told.power)
-        battery = told.battery
+        measured = ~np.isnan(arrived.power)
+        battery = arrived.battery
         places = np.concatenate((np.full(len(self._latest), -1), battery.order[measured]))
         latest_ns = np.array([stamp_ns for stamp_ns, _ in self._latest], np.int64)
-        told_ns = np.concatenate((latest_ns, battery.stamps[measured]))
-        power = np.concatenate(([watts for _, watts in self._latest], told.power[measured]))
-        newer = told_ns > np.maximum.accumulate(np.append(NEVER, told_ns))[:-1]
-        places, told_ns, power = places[newer], told_ns[newer], power[newer]
+        stamps = np.concatenate((latest_ns, battery.stamps[measured]))
+        power = np.concatenate(([watts for _, watts in self._latest], arrived.power[measured]))
+        newer = stamps > np.maximum.accumulate(np.append(NEVER, stamps))[:-1]
+        places, stamps, power = places[newer], stamps[newer], power[newer]
         last = slice(-MOST_LATEST // 2, None)
-        self._latest = [*zip(told_ns[last].tolist(), power[last].tolist(), strict=True)]
+        self._latest = [*zip(stamps[last].tolist(), power[last].tolist(), strict=True)]
         # A power counts if it arrived before the speed and is stamped before it: the lesser count.
-        which = np.minimum(places.searchsorted(speeds.order), told_ns.searchsorted(speeds.stamps))
-        return np.append(NEVER, told_ns)[which], np.append(np.nan, power)[which]
+        which = np.minimum(places.searchsorted(speeds.order), stamps.searchsorted(speeds.stamps))
+        return np.append(NEVER, stamps)[which], np.append(np.nan, power)[which]

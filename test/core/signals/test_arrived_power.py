@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 
+from evpinn_ros.core.signals.arrived_power import NO_BATTERY, ArrivedPowerTrack
 from evpinn_ros.core.signals.block import Block
 from evpinn_ros.core.signals.newest import NO_ARRIVALS
 from evpinn_ros.core.signals.readings import BatteryReading, SpeedReading
 from evpinn_ros.core.signals.reorder import ReorderBuffer
-from evpinn_ros.core.signals.told import NO_BATTERY, ToldTrack
 from evpinn_ros.core.signals.track import NEVER
 
 MILLISECOND_NS = 10**6
@@ -27,7 +27,7 @@ readings = st.lists(
 
 
 def test_the_stamp_of_the_moment_itself_does_not_count():
-    track = ToldTrack()
+    track = ArrivedPowerTrack()
     for stamp_ns, current in ((10, 1.0), (20, 2.0), (30, 3.0)):
         track.add_reading(BatteryReading(stamp_ns, 100.0, -current))
     assert [track.before(ns) for ns in (21, 20, 11)] == [(20, 200.0), (10, 100.0), (10, 100.0)]
@@ -38,7 +38,7 @@ def test_the_stamp_of_the_moment_itself_does_not_count():
 @given(readings, st.integers(0, 40))
 def test_one_by_one_is_as_in_arrays(rows: list, cut: int):
     """Whatever comes late, doubled, without voltage or without current."""
-    single, blocks = ToldTrack(), ToldTrack()
+    single, blocks = ArrivedPowerTrack(), ArrivedPowerTrack()
     buffers = ReorderBuffer(0.3), ReorderBuffer(0.3)
     expected, in_blocks = [], []
     rows = [type(r)(r.stamp_ns * MILLISECOND_NS, *_values(r)) for r in rows]
