@@ -356,15 +356,7 @@ def forecast_plan(
     """
     points = points_of(plan)
     if points.time.ndim > 1:
-        basis = model, weather, head_wind, wind_length, steady
-        columns = zip(*(getattr(points, name) for name in COLUMNS), strict=True)
-        plans = [replace(points, **dict(zip(COLUMNS, trip, strict=True))) for trip in columns]
-        trips = [forecast_plan(points, *basis) for points in plans]
-        time, energy, power, sigma = (
-            np.stack([getattr(trip, name) for trip in trips])
-            for name in ("time", "energy", "power", "sigma")
-        )
-        return Forecast(time, energy, power, sigma)
+        return _forecast_batch(points, model, weather, head_wind, wind_length, steady)
     course = course_of(plan, weather.air_density, head_wind, wind_length)
     steps, elapsed = course.steps, course.time[1:]
     still = standing(steps.duration, steps.distance), steps.distance**2 / steps.duration
@@ -399,6 +391,18 @@ def forecast_plan(
     return Forecast(points.time, energy, power, sigma, end, curve)
 
 
+def _forecast_batch(points: Plan, *basis: Any) -> Forecast:
+    """`forecast_plan` for each trip of a batch."""
+    columns = zip(*(getattr(points, name) for name in COLUMNS), strict=True)
+    plans = [replace(points, **dict(zip(COLUMNS, trip, strict=True))) for trip in columns]
+    trips = [forecast_plan(plan, *basis) for plan in plans]
+    time, energy, power, sigma = (
+        np.stack([getattr(trip, name) for trip in trips])
+        for name in ("time", "energy", "power", "sigma")
+    )
+    return Forecast(time, energy, power, sigma)
+
+
 def _beyond(course: Course, model: PowerModel, *, steady: bool) -> tuple[np.ndarray, np.ndarray]:
     """Energy of each step beyond even speed, by state, and its size up to there.
 
@@ -431,7 +435,7 @@ def plan_parts(
 
     Args:
         plan: the trip.
-        forecast: by `forecast_plan` with the arguments that follow, which are the same.
+        forecast: of the trip, by `forecast_plan` with the same arguments.
         model: of the car.
         weather: on the way.
         head_wind: against the car at the start, m/s over ground.

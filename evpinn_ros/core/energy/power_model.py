@@ -1,6 +1,6 @@
 """The model of a car for plans: the one equation (`estimation.terms`) over steps of a plan.
 
-The energy of a plan's steps is the same terms times the same states that are learned from
+The energy of a plan's steps is the terms of this equation times the states that are learned from
 intervals of driving. So the forecast of a driven speed equals its replay without the battery.
 """
 

@@ -319,7 +319,7 @@ class OnlineEstimator(Saveable[SavedEstimator]):
         self._learner.end_drive()
 
     def clear_counters(self) -> None:
-        """Count anew, for the next drive."""
+        """Reset all counters, for the next drive."""
         self._updates = self._accepted = 0
         for counter in (self._rejected, self._stream.dropped, self._buffer.dropped):
             counter.clear()

@@ -149,7 +149,7 @@ class HybridLearner(Saveable[SavedHybrid]):
         residuals = (span.power - power[measured])[learned]
         trim = self._trim.learned(rows[measured][learned], residuals, _seconds(learned_ns))
         self._trim, self._trim_ns = trim.last(), int(learned_ns[-1])
-        # Of the measured samples before each prediction, how many the trim learned from.
+        # Number of samples that the trim learned from before each prediction.
         before = np.concatenate((span.newest_learned, span.smoothed_learned))
         index = np.concatenate(((0,), learned.cumsum()))[before]
         ages = np.maximum(samples.stamp_ns[predicted] - learned_ns[index], 0) / NANOSECONDS

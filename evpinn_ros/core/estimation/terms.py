@@ -102,7 +102,7 @@ class Wheels(NamedTuple):
         climb: potential energy gained, J per kg.
         energy: of the prior car over eta, J; its sign tells driving from braking.
         driving: 1 where the car drives, 0 where it brakes.
-        gain: battery energy for one of `energy`: 1 where it drives, eta mu where it brakes.
+        gain: battery energy per J of `energy`: 1 where it drives, eta mu where it brakes.
         speed: mean, m/s.
         force: of the wheels over the mass, m/s^2.
     """
@@ -163,7 +163,7 @@ class Warmth(NamedTuple):
         return Warmth(mean(self.tyres, TYRES_WARM), mean(self.cabin, CABIN_WARM))
 
     def stood(self, seconds: float) -> Warmth:
-        """Coldness after the car has stood for so many s."""
+        """Coldness after the car has stood for these seconds."""
         left = math.exp(-seconds / COOLED)
         return Warmth(1.0 - (1.0 - self.tyres) * left, 1.0 - (1.0 - self.cabin) * left)
 

@@ -1,6 +1,6 @@
 """Readings of one car as columns, in the order in which they came.
 
-A node makes a block of what came since its last callback, a replay one of some minutes of a file.
+A node makes a block of the readings since its last callback, a replay of some minutes of a file.
 How readings are cut into blocks changes nothing.
 """
 
@@ -99,7 +99,7 @@ class Block:
         return self.rows.get(kind) or NO_ROWS[kind]
 
     def part(self, first: int, last: int) -> Block:
-        """The readings from one place to before another; places begin at 0 again."""
+        """The readings from place `first` to before `last`; places begin at 0 again."""
         if first == 0 and last == self.length:
             return self
         rows = {}
@@ -163,7 +163,7 @@ class Block:
 
 
 def joined(blocks: Sequence[Block]) -> Block:
-    """Blocks that came one after another, as one."""
+    """Concatenated blocks, in order of arrival."""
     begins = np.cumsum([0, *(block.length for block in blocks)]).tolist()
     rows = {}
     for kind in KINDS:
@@ -181,7 +181,7 @@ def joined(blocks: Sequence[Block]) -> Block:
 
 
 def impossible(kind: type[Reading], rows: Rows) -> list[tuple[str, np.ndarray]]:
-    """Reasons why rows are impossible, each with its rows; a row has its first reason only."""
+    """(reason, mask of rows, shape (n,)) of impossible rows; a row has its first reason only."""
     reasons = [("stamp_out_of_range", np.abs(rows.stamps) > MOST_STAMP)]
     for what, field, least, most, unknown in RANGES[kind]:
         value = _value(kind, field, rows)

@@ -78,7 +78,7 @@ NO_ARRIVALS = Arrived(*NO_ROWS[SpeedReading], np.empty(0, np.int64))
 
 
 class NewestTrack:
-    """Follows the speed as it comes, and the battery beside it (`battery`)."""
+    """Follows speed in order of arrival, and the battery's power (`battery`)."""
 
     def __init__(self, max_gap: float, motor_ratio: float) -> None:
         """Start empty; max_gap as in `SignalTrack`, motor_ratio in rad per m, NaN if unknown."""
@@ -98,7 +98,7 @@ class NewestTrack:
         return self._speed.newest_ns if len(self._speed) else None
 
     def add_motor(self, reading: MotorReading) -> None:
-        """Take the motor's torque as it comes."""
+        """Take a torque of the motor, in order of arrival."""
         self._motor_ns, self._torque, self._turning = (
             reading.stamp_ns, reading.torque, reading.speed,
         )  # fmt: skip

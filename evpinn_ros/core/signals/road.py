@@ -216,7 +216,7 @@ class Road:
 
     @property
     def shows_heights(self) -> bool:
-        """True if any reading tells of the road's height."""
+        """True if there is any pitch or altitude."""
         return self._pitch.is_known or len(self.altitudes) > 0
 
     def heights(

@@ -59,7 +59,7 @@ class JumpPolicy(str, Enum):
 
 
 class JumpRule(NamedTuple):
-    """Reaction to a jump of time, and the s by which a stamp may differ without being a leap."""
+    """Reaction to a jump of time; threshold: s by which a stamp may differ without a leap."""
 
     policy: JumpPolicy = JumpPolicy.AUTO
     threshold: float = 2.0
@@ -294,7 +294,7 @@ class StampGuard:
             return len(newest) == needed and rising
         if not before:
             return False
-        # A reading of the leader clears what is kept, so this one has gone on without it for long.
+        # A reading of the leader clears held items, so this source went on without it for long.
         return leap_ns > 0 and stamp_ns - before[0] >= threshold_ns
 
     def _hold(self, held: _Held) -> None:

@@ -38,7 +38,7 @@ class SignalTrack:
         stamps: ns, increasing.
         values: of the same length.
         periods: usual step by each reading and those before it, s; 0 at the first.
-        gaps: ns between readings beyond which nothing is joined, by the same readings.
+        gaps: ns beyond which nothing is joined, by each reading and those before it.
     """
 
     def __init__(self, max_gap: float) -> None:

@@ -71,7 +71,7 @@ class CertifiedCar:
     loads: tuple[RoadLoad, ...]  # at least one
     udds: float  # at the wall, Wh/km; NaN where it is not known
     highway: float  # at the wall, Wh/km; NaN where it is not known
-    pack_of: str  # key of a car that has the same battery; empty where none is known
+    pack_of: str  # key of a car with the same battery, or empty
 
     @property
     def priors(self) -> Mapping[str, Prior]:
