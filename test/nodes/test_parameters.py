@@ -86,7 +86,7 @@ def test_choices_and_defaults_are_those_of_the_cores():
         ("estimator", "max_gap", 2, "with a decimal point"),
         ("estimator", "seed", True, "a whole number"),
         ("estimator", "mode", "clever", "not one of hybrid, paper"),
-        ("estimator", "vehicle", "tesla", "no vehicle named 'tesla'"),
+        ("estimator", "vehicle", "tesla", "several vehicles match 'tesla'"),
         ("estimator", "time_jump_threshold", 0.3, "above allowed_lateness"),
         ("can_bridge", "interface", "usb", "interface: known are"),
         ("can_bridge", "bus_options", "hop_limit", "not of the form name=value"),
