@@ -28,14 +28,18 @@ _NUMBERS = {
 """Numbers of PyYAML, except those of base 60."""
 
 
-def compose(path: Path, title: str) -> Section:
-    """Read the YAML mapping `path`; InputError names the `title` ("vehicle file")."""
-    return Section(path, _root(path, title, MAX_FILE_BYTES), title)
+def compose(path: Path, title: str, text: str | None = None) -> Section:
+    """Read the YAML mapping `path`; InputError names the `title` ("vehicle file").
+
+    text: content that the file will have; it is not read then.
+    """
+    content = _content(path, title, MAX_FILE_BYTES) if text is None else text
+    return Section(path, _root(path, content), title)
 
 
 def load_plain(path: Path, title: str, most_bytes: int) -> Any:
     """Content of a YAML file as plain Python values; InputError if wrong or above `most_bytes`."""
-    node = _root(path, title, most_bytes)
+    node = _root(path, _content(path, title, most_bytes))
     with as_input_error(path, ValueError):
         return plain(node)
 
@@ -104,14 +108,18 @@ def _refusal(problem: str, event: yaml.Event) -> yaml.MarkedYAMLError:
     return yaml.composer.ComposerError(None, None, problem, mark)
 
 
-def _root(path: Path, title: str, most_bytes: int) -> yaml.Node:
+def _content(path: Path, title: str, most_bytes: int) -> bytes:
     # ValueError: an impossible name of a file.
     with as_input_error(path, ValueError), open_file(path) as file:
-        text = file.read(most_bytes + 1)
-    if len(text) > most_bytes:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
         raise InputError(f"{path}: larger than {most_bytes} bytes, not a {title}")
+    return content
+
+
+def _root(path: Path, content: str | bytes) -> yaml.Node:
     try:
-        node = yaml.compose(text, Loader=_PlainLoader)
+        node = yaml.compose(content, Loader=_PlainLoader)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"{path}:{line}: not YAML: {error.problem}") from error

@@ -270,9 +270,12 @@ class Road:
 
     def unknown(self, stamp_ns: int) -> tuple[str, ...]:
         """Which of grade, temperature, pressure, wind and loads have no data."""
-        pitch_ns = int(self._pitch.stamps[-1])
+        has_pitch = _age(stamp_ns, int(self._pitch.stamps[-1])) < STALE_AFTER
         given = {
-            "grade": _age(stamp_ns, pitch_ns) < STALE_AFTER or not self._altitude.detected,
+            "grade": (has_pitch and self._source in (GradeSource.AUTO, GradeSource.IMU))
+            or (
+                not self._altitude.detected and self._source in (GradeSource.AUTO, GradeSource.FIX)
+            ),
             "temperature": self._celsius.is_known,
             "pressure": self._pascal.is_known,
             "wind": self._wind.is_known,

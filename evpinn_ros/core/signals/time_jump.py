@@ -292,10 +292,11 @@ class StampGuard:
             newest = [*before, stamp_ns][-needed:]
             rising = all(0 <= later - earlier <= AGREE_NS for earlier, later in pairwise(newest))
             return len(newest) == needed and rising
-        if not before:
-            return False
         # A reading of the leader clears held items, so this source went on without it for long.
-        return leap_ns > 0 and stamp_ns - before[0] >= threshold_ns
+        lasted_ns = max(
+            (stamp_ns - ns for ns in before if 0 <= stamp_ns - ns <= AGREE_NS), default=0
+        )
+        return leap_ns > 0 and lasted_ns >= max(threshold_ns, 1)
 
     def _hold(self, held: _Held) -> None:
         self._held.append(held)
@@ -321,7 +322,7 @@ class StampGuard:
         self._ahead_ns.clear()
         self._leader_ns = None
         for entry in kept:
-            newest_ns = self._source_ns.get(entry.source, 0)
+            newest_ns = self._source_ns.get(entry.source, entry.stamp_ns)
             self._source_ns[entry.source] = max(entry.stamp_ns, newest_ns)
             if entry.source == self._leader:
                 self._step_to(entry.stamp_ns)

@@ -334,8 +334,8 @@ def _vehicle_directory() -> Path:
     return share_directory() / "config" / "vehicles"
 
 
-def _parse(path: Path) -> Vehicle:
-    root = compose(path, "vehicle file")
+def _parse(path: Path, text: str | None = None) -> Vehicle:
+    root = compose(path, "vehicle file", text)
     constants = {key: _constant(root.section(key), key) for key in CONSTANTS if root.has(key)}
     size = constants.get("relative_size", OPTIONAL_CONSTANTS["relative_size"])
     priors = _priors(root.section("parameters"), size)
@@ -421,14 +421,15 @@ def _prior(section: Section, name: str, limits: Limits) -> Prior:
 
 
 def write_vehicle(path: Path, vehicle: Vehicle) -> None:
-    """Write a vehicle file, and validate it by reading it back.
+    """Write a vehicle file that `load_vehicle` takes.
 
     Raises:
         OSError: the file cannot be written.
-        InputError: the written file is not valid.
+        InputError: the vehicle is not valid; nothing is written.
     """
-    write_file(path, vehicle_text(vehicle, path.parent))
-    load_vehicle(path)
+    text = vehicle_text(vehicle, path.parent)
+    _parse(path, text)
+    write_file(path, text)
 
 
 def vehicle_text(vehicle: Vehicle, folder: Path) -> str:

@@ -162,6 +162,14 @@ def test_what_no_input_tells_is_named():
     assert road.unknown(at(1)) == ("temperature", "wind")
 
 
+@pytest.mark.parametrize("source", GradeSource)
+def test_a_grade_of_a_source_that_is_not_read_is_unknown(source):
+    road = Road(source, 1.2)
+    add(road, GradeReading(at(0), 0.05))
+    assert ("grade" in road.unknown(at(1))) == (source in (GradeSource.NONE, GradeSource.FIX))
+    assert (grade(road, at(1)) == 0.0) == ("grade" in road.unknown(at(1)))
+
+
 def test_a_height_is_known_at_the_first_moment_after_its_altitude():
     """One altitude a second, on a road that rises by 5 %; the first shows no rise."""
     step = 20.0  # m

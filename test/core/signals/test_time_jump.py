@@ -47,6 +47,23 @@ def test_one_wrong_stamp_is_no_jump(wrong, source):
     assert guard.jumps == 0 and guard.dropped == {"stamp_leaps": 1}
 
 
+def test_two_wrong_stamps_of_another_source_confirm_nothing():
+    """They lie weeks apart: no clock went on from one to the other."""
+    guard = StampGuard("speed")
+    wrong = [("battery", -100.0), ("battery", 2e6)]
+    good = [item for s in range(1, 100) for item in (*speeds(float(s)), ("battery", float(s)))]
+    assert passed(guard, [*speeds(0.0), *wrong, *good]) == [*speeds(0.0), *good]
+    assert guard.jumps == 0 and guard.dropped == {"stamp_leaps": 2}
+
+
+@pytest.mark.parametrize("begin", [-1000.0, 0.0, 1000.0])
+def test_time_goes_on_after_a_jump_from_whichever_stamp(begin):
+    guard = StampGuard("speed")
+    seconds = [begin - START / S + s for s in range(10)]
+    assert passed(guard, [*speeds(0.0, 1.0), *speeds(*seconds)])[3:] == speeds(*seconds)
+    assert guard.jumps == 1 and not guard.dropped
+
+
 NO_JUMP = {
     "late messages": [*speeds(10.0, 9.0, 10.1), ("battery", 8.5), *speeds(8.2)],
     "silence": [*speeds(0.0, 0.1), ("battery", 500.0), *speeds(500.1, 500.2), ("battery", 500.3)],

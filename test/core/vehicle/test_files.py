@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,16 @@ def test_a_start_of_the_paper_is_not_the_prior(car):
     assert load_vehicle(written).paper_start == vehicle.paper_start
     with pytest.raises(InputError, match=r"a_car\.yaml:15: .*paper_start: 'c_d' is missing"):
         load_vehicle(car(GOOD + start.replace("  c_d:", "  c_w:")))
+
+
+def test_a_vehicle_that_is_not_valid_leaves_the_file_as_it_is(car):
+    vehicle = load_vehicle(car(GOOD))
+    written = car("").with_name("written.yaml")
+    write_vehicle(written, vehicle)
+    before = written.read_text()
+    with pytest.raises(InputError, match=r"written\.yaml:\d+: beta"):
+        write_vehicle(written, replace(vehicle, beta=1.0))
+    assert written.read_text() == before
 
 
 @pytest.mark.parametrize("folder", ["", "../cars", "below/.."])
