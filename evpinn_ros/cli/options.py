@@ -45,13 +45,23 @@ def _check_json_file(context: typer.Context, path: Path | None) -> Path | None:
 
 def _check_table_file(context: typer.Context, path: Path | None) -> Path | None:
     """`_check_json_file`, but a .csv with the metrics of an earlier run is overwritten."""
-    if path is not None and path.suffix == TABLE_SUFFIX and path.is_file():
-        with open_file(path) as file:
-            is_ours = METRICS_COLUMN in file.readline(LONGEST_LINE)
-        if is_ours:
-            note_own(path)
-            return path
-    return _check_json_file(context, path)
+    if path is None or path.suffix != TABLE_SUFFIX:
+        return _check_json_file(context, path)
+    for table, columns in ((path, METRICS_COLUMN), (trends_beside(path), TRENDS_COLUMNS)):
+        if table.is_file():
+            with open_file(table) as file:
+                is_ours = columns in file.readline(LONGEST_LINE)
+            if not is_ours:
+                raise typer.BadParameter(
+                    f"{table} exists, and only .json files and tables of metrics are overwritten"
+                )
+            note_own(table)
+    return path
+
+
+def trends_beside(table: Path) -> Path:
+    """The file of the trends beside a table of metrics."""
+    return table.with_name(f"{table.stem}_trends{table.suffix}")
 
 
 def check_report(path: Path | None) -> Path | None:
@@ -116,7 +126,7 @@ JSON_SUFFIXES = (".json", ".jsonl")
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help=_JSON_HELP, callback=_check_json_file)
 ]
-TABLE_SUFFIX, METRICS_COLUMN = ".csv", b"input.path"
+TABLE_SUFFIX, METRICS_COLUMN, TRENDS_COLUMNS = ".csv", b"input.path", b"trend,group"
 _METRICS_HELP = (
     f"{_JSON_HELP} A {TABLE_SUFFIX} file gets a table with one row per drive, and FILE_trends.csv "
     "the trends."

@@ -33,6 +33,7 @@ from evpinn_ros.cli.options import (
     StartOption,
     UnitsOption,
     VehicleOption,
+    trends_beside,
     with_read_options,
 )
 from evpinn_ros.cli.table_columns import explain_columns, explain_notes
@@ -135,7 +136,7 @@ def replay(
 
     Example: evpinn replay bags/urban --vehicle tesla_model_3_lr --out out/urban
     """
-    trends = _trends_beside(metrics) if metrics and metrics.suffix == TABLE_SUFFIX else None
+    trends = trends_beside(metrics) if metrics and metrics.suffix == TABLE_SUFFIX else None
     check_outputs((metrics, trends, report, state, out), (*inputs, params, Path(vehicle)))
     with StateClaim(state):
         car = CarReplay(
@@ -364,13 +365,9 @@ def _write_metrics(path: Path, car: CarReplay, several: bool) -> None:
     if path.suffix == TABLE_SUFFIX:
         write_file(path, metrics_csv(drives))
         if (trends := trends_csv(drives)) is not None:
-            write_file(_trends_beside(path), trends)
+            write_file(trends_beside(path), trends)
     else:
         write_json(path, drives if several else drives[0])
-
-
-def _trends_beside(table: Path) -> Path:
-    return table.with_name(f"{table.stem}_trends{TABLE_SUFFIX}")
 
 
 def _write_report(path: Path, car: CarReplay, units: Units) -> None:

@@ -91,6 +91,9 @@ def test_a_table_of_metrics_is_overwritten(tmp_path: Path) -> None:
     (metrics,) = (parameter for parameter in replay.params if "--metrics" in parameter.opts)
     context = replay.make_context("replay", ["drive.csv"])
     assert metrics.process_value(context, str(tmp_path / "m.csv")) == tmp_path / "m.csv"
+    (tmp_path / "m_trends.csv").write_text("t_s,speed_mps\n")
+    with pytest.raises(typer.BadParameter, match=r"m_trends\.csv exists"):
+        metrics.process_value(context, str(tmp_path / "m.csv"))
 
 
 @pytest.mark.parametrize("width", [80, 100])

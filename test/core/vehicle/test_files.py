@@ -150,7 +150,7 @@ def test_a_vehicle_that_is_not_valid_leaves_the_file_as_it_is(car):
     written = car("").with_name("written.yaml")
     write_vehicle(written, vehicle)
     before = written.read_text()
-    with pytest.raises(InputError, match=r"written\.yaml:\d+: beta"):
+    with pytest.raises(InputError, match=r"written\.yaml:\d+: vehicle file, beta"):
         write_vehicle(written, replace(vehicle, beta=1.0))
     assert written.read_text() == before
 
