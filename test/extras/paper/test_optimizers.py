@@ -62,7 +62,7 @@ def test_a_checkpoint_of_other_settings_is_none_and_a_broken_one_refused(tmp_pat
     assert kept is not None and torch.equal(kept["weights"], torch.arange(4.0))
 
     def is_refused():
-        with pytest.raises(InputError, match=r"a\.npz: the training .*delete it to train"):
+        with pytest.raises(InputError, match=r"a\.npz: the saved training .*delete it to train"):
             load_checkpoint(path, "x")
 
     np.savez(path, settings=np.array("x"), weights=np.array(["no number"]))
